@@ -1,0 +1,75 @@
+"""Sparks from a campfire (Bridson's slide 9), over a bed of embers and a body of flame."""
+
+import tparticles as tp
+
+
+def scene(
+    quality: str,
+    *,
+    wind: float = 0.25,
+    power: float = 45.0,
+    rate: float = 2.5,
+    turbulence: float = 0.9,
+    seed: int = 1,
+) -> tp.Scene:
+    """Describe the film.
+
+    wind [m/s] blows to the right; power [kW] of the fire drives the plume; rate is the mean number of sparks born in 1/24 s;
+    turbulence [m/s] is the speed of the largest eddies.
+    """
+    plume = tp.Plume(power=power, radius=0.32)
+    # Eddies are carried up by the mean flow; they die out at the ground.
+    eddies = tp.CurlNoise(
+        speed=turbulence, length=0.9, octaves=3, gain=0.6, drift=(wind, 0.0, 1.6), period=1.6, ramp=0.5, seed=seed
+    )
+    smoke = plume + eddies + tp.Uniform(wind=(wind, 0.0, 0.0))
+
+    sparks = tp.Group(
+        name="sparks",
+        system=tp.Advected(flow=smoke),
+        emitters=tp.Emitter(
+            births=tp.PerFrame(mean=rate, variance=0.5),
+            shape=tp.Disc(center=(0.0, 0.0, 0.12), radius=0.3),
+            temperature=tp.Spread(mean=1280.0, variance=110.0),
+            size=tp.Spread(mean=0.0024, variance=0.001),
+            preroll=4.0,
+        ),
+        cooling=tp.Exponential(time=3.6, ambient=293.0),
+        region=tp.Box(low=(-6.0, -4.0, -0.5), high=(6.0, 6.0, 8.0)),
+    )
+    flames = tp.Group(
+        name="flames",
+        system=tp.Advected(flow=smoke),
+        emitters=tp.Emitter(
+            births=tp.Rate(rate=700.0),
+            shape=tp.Disc(center=(0.0, 0.0, 0.05), radius=0.26),
+            temperature=tp.Spread(mean=1560.0, variance=90.0),
+            size=tp.Spread(mean=0.14, variance=0.06),
+            lifetime=tp.Spread(mean=0.55, variance=0.25),
+            preroll=1.0,
+        ),
+        cooling=tp.Exponential(time=1.1, ambient=293.0),
+        appearance=tp.Glow(emissivity=0.002, fade_in=0.2, fade_out=0.5),
+    )
+    embers = tp.Group(
+        name="embers",
+        system=tp.Advected(flow=tp.Uniform()),
+        emitters=tp.Emitter(
+            births=tp.Rate(rate=120.0),
+            shape=tp.Disc(center=(0.0, 0.0, 0.02), radius=0.38),
+            temperature=tp.Spread(mean=1010.0, variance=90.0),
+            size=tp.Spread(mean=0.026, variance=0.012),
+            lifetime=tp.Spread(mean=3.0, variance=1.5),
+            preroll=4.5,
+        ),
+        appearance=tp.Glow(emissivity=0.8, fade_in=0.4, fade_out=0.5),
+    )
+    return tp.Scene(
+        groups=(embers, flames, sparks),
+        camera=tp.Camera(position=(0.0, -7.5, 1.5), target=(0.15, 0.0, 1.85), fov=34.0),
+        look=tp.Look(ev=4.0, tone="filmic"),
+        background=tp.Gradient(top=(0.012, 0.016, 0.030), bottom=(0.045, 0.034, 0.034)),
+        duration=10.0,
+        steps=tp.Fixed(dt=1 / 96),
+        seed=seed,
+    )

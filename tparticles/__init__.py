@@ -1,0 +1,49 @@
+"""tparticles: particle systems on Taichi, rendered without a screen."""
+
+import os as _os
+
+# Taichi reads these when it is imported: no version post over the network, no banner on stdout.
+_os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
+_os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+__version__ = "0.1.0"
+
+# Names that scenes use, by module. They load on first use: `import tparticles` alone does not import Taichi.
+_PUBLIC = {
+    "binding": ("Parameters",),
+    "errors": ("BackendError", "InputError", "RunError", "TparticlesError"),
+    "physics.cooling": ("Char", "Exponential", "Radiative"),
+    "physics.emitters": ("Burst", "Emitter", "PerFrame", "Rate"),
+    "physics.flows": ("ABC", "Plume", "Uniform", "Vortex"),
+    "physics.forces": ("Drag", "Gravity"),
+    "physics.law": ("Bound", "Flow", "Sum"),
+    "physics.noise": ("CurlNoise",),
+    "physics.shapes": ("Box", "Cone", "Disc", "Line", "Point", "Sphere"),
+    "physics.spread": ("Spread",),
+    "render.appearance": ("Glow", "Gradient", "Picture", "Ramp"),
+    "render.camera": ("Camera", "Track"),
+    "render.look": ("Look",),
+    "scene": ("Group", "Scene"),
+    "schemes": ("Scheme", "runge_kutta"),
+    "simulation": ("Frame", "Simulation"),
+    "spec": ("spec",),
+    "stepping.control": ("Fixed", "StabilityLimit"),
+    "systems.motion": ("Advected", "Newtonian"),
+}
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+__all__ = sorted([*_HOME, "__version__"])
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name from its module (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'tparticles' has no attribute '{name}'")
+    from importlib import import_module
+
+    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

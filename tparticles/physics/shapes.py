@@ -1,0 +1,156 @@
+"""Where particles are born and where they may live: points, lines, discs, spheres, boxes; and cones of velocity."""
+
+import math
+from typing import Annotated
+
+import taichi as ti
+from pydantic import Field
+
+from ..errors import InputError
+from ..rng import device_uniform
+from ..spec import Positive, Vec3, spec
+from .spread import Spread, SpreadLike
+
+_TURN = 2 * math.pi
+
+
+@ti.func
+def _orthonormal(axis):
+    """Return the axis at unit length and two directions across it (Duff et al., JCGT 6, 2017)."""
+    n = axis.normalized()
+    sign = ti.select(n[2] >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return (
+        n,
+        ti.Vector([1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]]),
+        ti.Vector([b, sign + n[1] * n[1] * a, -n[1]]),
+    )
+
+
+@spec
+class Point:
+    """Always at `position` [m]."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return the point [m]."""
+        return self.position
+
+
+@spec
+class Line:
+    """Uniform between `start` and `end` [m]."""
+
+    start: Vec3
+    end: Vec3
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return a point [m]."""
+        return self.start + device_uniform(key, particle, draw) * (self.end - self.start)
+
+
+@spec
+class Disc:
+    """Uniform on a disc: `center`, `radius` [m], `normal`."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    radius: Positive
+    normal: Vec3 = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        _direction("Disc.normal", self.normal)
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return a point [m]."""
+        _, across, along = _orthonormal(self.normal)
+        r = self.radius * ti.sqrt(device_uniform(key, particle, draw))
+        angle = _TURN * device_uniform(key, particle, draw + 1)
+        return self.center + r * (ti.cos(angle) * across + ti.sin(angle) * along)
+
+
+@spec
+class Sphere:
+    """Uniform in a ball, or on its `surface`: `center`, `radius` [m]. As a region: its inside."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    radius: Positive
+    surface: bool = False
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return a point [m]."""
+        z = 2.0 * device_uniform(key, particle, draw) - 1.0
+        angle = _TURN * device_uniform(key, particle, draw + 1)
+        r = self.radius
+        if ti.static(not self.surface):
+            r *= device_uniform(key, particle, draw + 2) ** ti.static(1 / 3)
+        across = ti.sqrt(ti.max(0.0, 1.0 - z * z))
+        return self.center + r * ti.Vector([across * ti.cos(angle), across * ti.sin(angle), z])
+
+    @ti.func
+    def contains(self, x):
+        """Tell whether `x` [m] is inside."""
+        return (x - self.center).norm_sqr() <= self.radius * self.radius
+
+
+@spec
+class Box:
+    """Uniform in a box between the corners `low` and `high` [m]; a flat one is a rectangle. As a region: its inside."""
+
+    low: Vec3
+    high: Vec3
+
+    def __post_init__(self) -> None:
+        if any(a > b for a, b in zip(self.low, self.high, strict=True)):
+            raise InputError(f"Box.low = {self.low} must not exceed Box.high = {self.high} in any coordinate")
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return a point [m]."""
+        u = ti.Vector([device_uniform(key, particle, draw + d) for d in ti.static(range(3))])
+        return self.low + u * (self.high - self.low)
+
+    @ti.func
+    def contains(self, x):
+        """Tell whether `x` [m] is inside."""
+        return (x >= self.low).all() and (x <= self.high).all()
+
+
+@spec
+class Cone:
+    """Reeves' ejection cone: directions uniform in the solid angle within `angle` [degrees] of `axis`, `speed` [m/s]."""
+
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    angle: Annotated[float, Field(ge=0, le=180)] = 0.0
+    speed: SpreadLike = Spread(mean=0.0)
+
+    def __post_init__(self) -> None:
+        _direction("Cone.axis", self.axis)
+
+    def derived(self) -> dict[str, float]:
+        """Return the cosine of the half angle."""
+        return {"cosine": math.cos(math.radians(self.angle))}
+
+    @ti.func
+    def sample(self, key, particle, draw):
+        """Return a velocity [m/s]; takes four draws."""
+        n, across, along = _orthonormal(self.axis)
+        c = 1.0 - (1.0 - self.cosine) * device_uniform(key, particle, draw)
+        s = ti.sqrt(ti.max(0.0, 1.0 - c * c))
+        angle = _TURN * device_uniform(key, particle, draw + 1)
+        direction = c * n + s * (ti.cos(angle) * across + ti.sin(angle) * along)
+        return self.speed.sample(key, particle, draw + 2) * direction
+
+
+def _direction(name: str, value: Vec3) -> None:
+    if not any(value):
+        raise InputError(f"{name} = {value}: a direction must not be zero")
+
+
+Shape = Point | Line | Disc | Sphere | Box
+Region = Sphere | Box

@@ -1,0 +1,156 @@
+"""What a particle looks like: a blackbody glow by temperature, or a colour ramp by age."""
+
+from typing import Annotated
+
+import numpy as np
+import taichi as ti
+from pydantic import Field
+
+from ..errors import InputError
+from ..spec import Finite, NonNegative, Positive, spec
+from .blackbody import BlackbodyTable
+from .look import Look, srgb_decode
+
+Fraction01 = Annotated[float, Field(ge=0, le=1)]
+Color = tuple[Fraction01, Fraction01, Fraction01]
+
+
+@spec
+class Glow:
+    """Blackbody radiation: the dot is a disc of the particle's diameter with the luminance of its temperature.
+
+    `emissivity` scales it (an optically thin flame has a few per cent). `fade_in` and `fade_out`, fractions of the lifetime,
+    let a soft particle appear and vanish smoothly. `growth` [m/s] adds to the diameter with age.
+    """
+
+    emissivity: Positive = 1.0
+    fade_in: Fraction01 = 0.0
+    fade_out: Fraction01 = 0.0
+    growth: NonNegative = 0.0
+
+    uses_temperature = True
+
+    def prepare(self, look: Look) -> "GlowShader":
+        """Return the shader under `look`: exposure and white balance go into its table."""
+        return GlowShader(self, look)
+
+
+@spec
+class Ramp:
+    """A colour by age instead of a temperature: `colors` (sRGB, 0..1), evenly spaced over `span` [s], the last one for ever.
+
+    `brightness` is the film value of a dot that covers a pixel, 1 being film white; `fade_in`, `fade_out` and `growth` as in `Glow`.
+    """
+
+    colors: Annotated[tuple[Color, ...], Field(min_length=1)]
+    span: Positive
+    brightness: Positive = 1.0
+    fade_in: Fraction01 = 0.0
+    fade_out: Fraction01 = 0.0
+    growth: NonNegative = 0.0
+
+    uses_temperature = False
+
+    def prepare(self, look: Look) -> "RampShader":
+        """Return the shader."""
+        return RampShader(self)
+
+
+Appearance = Glow | Ramp
+
+
+@ti.data_oriented
+class GlowShader:
+    """Colour of a temperature [K] by table lookup, linear in 1/T; the NumPy twin is `BlackbodyTable.lookup`."""
+
+    def __init__(self, glow: Glow, look: Look):
+        table = BlackbodyTable.build(adaptation=look.adaptation())
+        self.entries = table.n
+        self.rows = ti.field(ti.f32, (table.n, 4))
+        self.rows.from_numpy(table.values.astype(np.float32))
+        # What varies between looks stays data, so that another exposure compiles nothing.
+        self.scales = ti.field(ti.f32, 3)
+        self.scales.from_numpy(np.array([table.u_min, table.steps_per_u, look.exposure * glow.emissivity], np.float32))
+
+    @ti.func
+    def color(self, T, age):
+        """Return linear sRGB film values of a dot that covers the whole pixel; may be negative out of gamut."""
+        s = ti.max((1.0 / ti.math.clamp(ti.cast(T, ti.f32), 1.0, 12000.0) - self.scales[0]) * self.scales[1], 0.0)
+        i = ti.min(ti.cast(s, ti.i32), self.entries - 2)
+        w = s - ti.cast(i, ti.f32)
+        row = ti.Vector([self.rows[i, c] * (1.0 - w) + self.rows[i + 1, c] * w for c in ti.static(range(4))])
+        rgb = ti.exp(row[0]) * self.scales[2] * ti.Vector([row[1], row[2], row[3]])
+        return ti.select(T < 500.0, 0.0, 1.0) * rgb
+
+
+@ti.data_oriented
+class RampShader:
+    """Colour of an age [s] by linear interpolation between the stops, in linear light."""
+
+    def __init__(self, ramp: Ramp):
+        stops = srgb_decode(np.array(ramp.colors, float)) * ramp.brightness
+        stops = np.concatenate([stops, stops[-1:]])  # so that the last stop has a next one
+        self.last = len(ramp.colors) - 1
+        self.stops = ti.field(ti.f32, stops.shape)
+        self.stops.from_numpy(stops.astype(np.float32))
+        self.pace = ti.field(ti.f32, 1)
+        self.pace[0] = max(self.last, 1) / ramp.span
+
+    @ti.func
+    def color(self, T, age):
+        """Return linear sRGB film values of a dot that covers the whole pixel."""
+        s = ti.math.clamp(ti.cast(age, ti.f32) * self.pace[0], 0.0, ti.cast(self.last, ti.f32))
+        i = ti.cast(s, ti.i32)
+        w = s - ti.cast(i, ti.f32)
+        return ti.Vector([self.stops[i, c] * (1.0 - w) + self.stops[i + 1, c] * w for c in ti.static(range(3))])
+
+
+@spec
+class Gradient:
+    """A vertical background gradient between two sRGB colours (0..1): what the finished picture shows where no light falls."""
+
+    top: Color = (0.0, 0.0, 0.0)
+    bottom: Color = (0.0, 0.0, 0.0)
+    power: Finite = 1.0
+
+    def __post_init__(self) -> None:
+        if self.power <= 0:
+            raise InputError(f"Gradient.power = {self.power:g}: must be > 0")
+
+    def picture(self, width: int, height: int) -> np.ndarray:
+        """Return sRGB values 0..1, shape (height, width, 3)."""
+        s = ((np.arange(height) + 0.5) / height) ** self.power
+        rows = np.outer(1 - s, self.top) + np.outer(s, self.bottom)
+        return np.broadcast_to(rows[:, None, :], (height, width, 3))
+
+
+@spec
+class Picture:
+    """A background image file, scaled to cover the frame."""
+
+    path: str
+
+    def picture(self, width: int, height: int) -> np.ndarray:
+        """Return sRGB values 0..1, shape (height, width, 3).
+
+        Raises:
+            InputError: the file is missing or no image.
+        """
+        from PIL import Image, ImageOps, UnidentifiedImageError
+
+        try:
+            with Image.open(self.path) as image:
+                fitted = ImageOps.fit(image.convert("RGB"), (width, height))
+        except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+            raise InputError(f"background '{self.path}' cannot be read: {error}") from None
+        return np.asarray(fitted, float) / 255
+
+
+Background = Gradient | Picture
+
+
+def film_background(background: Background, look: Look, width: int, height: int) -> np.ndarray:
+    """Return the film values that develop to the background's own colours, float32, shape (height, width, 3)."""
+    table, film_max = look.display_table()
+    film = film_max * np.linspace(0.0, 1.0, len(table)) ** 2
+    return np.interp(background.picture(width, height) * 255, table, film).astype(np.float32)

@@ -1,0 +1,344 @@
+"""The film: additive light in fixed point, and its development to 8-bit pixels.
+
+A pixel channel is a sum of i64 multiples of 2^-24 of film white. Integer sums do not depend on the order of their terms,
+so a frame has the same bits for any number of threads, any chunking of the dots and any split into shards (`merge`).
+
+On a CPU the rows are cut into bands. A counting sort lists every dot in each band that it touches, then each band is
+drawn by one thread, without atomics. On a GPU every dot is one thread that adds atomically. Same arithmetic, same sums.
+"""
+# pyright: reportIndexIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false, reportInvalidTypeForm=false
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import ArrayLike, NDArray
+
+from tparticles import backend
+from tparticles.errors import InputError
+from tparticles.render import splat
+from tparticles.render.look import bayer
+
+_BAND = 8  # rows owned by one thread at a time
+_CHUNK = 2048  # dots that one thread counts and lists at a time
+_CHUNKS = 512  # chunks in a round of the counting sort
+_ENTRIES = 1 << 21  # most dots listed in a round (64 MiB); more dots take more rounds
+_RECORD = 8  # f32 in a listed dot
+_GRAIN = 512  # Taichi gives one CPU thread at least this many iterations: so many make one coarse task
+_INFINITE = 2.0**127
+_NAMES = ("u", "v", "du", "dv", "sigma", "r", "g", "b")
+
+
+@ti.data_oriented
+class Dots:
+    """Buffers for up to `capacity` splats, one f32 field of shape (capacity,) per quantity.
+
+    `u, v` [px]: position at shutter close; (0, 0) is the top left corner of the film, pixel centres are at +0.5, v grows
+    downward. `du, dv` [px]: from there to the position at shutter open; zero is a dot. `sigma` [px]: standard deviation
+    of the Gaussian; 0.3..1024, others are drawn at the nearer limit. `r, g, b` [film white * px]: energy, that is the
+    sum over the film; a channel may be negative. Energies are clamped to +-2^30.
+
+    A dot with a NaN or infinity, with sigma <= 0, or 2^24 px or more away draws nothing.
+
+    Raises `InputError` if capacity < 1.
+    """
+
+    def __init__(self, capacity: int):
+        if capacity < 1:
+            raise InputError(f"capacity = {capacity}: room for at least 1 dot is needed")
+        self.capacity = capacity
+        self.u, self.v, self.du, self.dv, self.sigma, self.r, self.g, self.b = (
+            ti.field(ti.f32, shape=capacity) for _ in _NAMES
+        )
+
+    def upload(
+        self, u: ArrayLike, v: ArrayLike, *, sigma: ArrayLike, energy: ArrayLike, du: ArrayLike = 0, dv: ArrayLike = 0
+    ) -> int:
+        """Fill the buffers from arrays of shape (n,), `energy` (n, 3), or scalars to repeat; return n.
+
+        Raises `InputError` if there are more dots than `capacity`.
+        """
+        e = np.asarray(energy, dtype=np.float32)
+        columns = np.broadcast_arrays(u, v, du, dv, sigma, e[..., 0], e[..., 1], e[..., 2])
+        count = columns[0].size
+        if count > self.capacity:
+            raise InputError(f"{count} dots do not fit into a capacity of {self.capacity}")
+        for name, column in zip(_NAMES, columns, strict=True):
+            padded = np.zeros(self.capacity, dtype=np.float32)
+            padded[:count] = column.ravel()
+            getattr(self, name).from_numpy(padded)
+        return count
+
+    @ti.func
+    def read(self, i):
+        """Return dot i as a record of 8 f32 in the order of the fields, its energy in quanta, sigma in its limits."""
+        top = ti.f32(splat.ENERGY_MAX)
+        scale = ti.f32(1.0 / splat.QUANTUM)
+        return ti.Vector(
+            [
+                self.u[i],
+                self.v[i],
+                self.du[i],
+                self.dv[i],
+                splat.limited(self.sigma[i]),
+                ti.min(ti.max(self.r[i], -top), top) * scale,
+                ti.min(ti.max(self.g[i], -top), top) * scale,
+                ti.min(ti.max(self.b[i], -top), top) * scale,
+            ]
+        )
+
+    @ti.func
+    def rows(self, i, width, height):
+        """Return the film rows first..last that dot i may touch; first > last if it draws nothing."""
+        first, last = 0, -1
+        u, v, du, dv, sigma = self.u[i], self.v[i], self.du[i], self.dv[i], self.sigma[i]
+        near = splat.below(u, splat.REACH) and splat.below(v, splat.REACH)
+        near = near and splat.below(du, splat.REACH) and splat.below(dv, splat.REACH)
+        finite = splat.below(sigma, _INFINITE) and splat.below(self.r[i], _INFINITE)
+        finite = finite and splat.below(self.g[i], _INFINITE) and splat.below(self.b[i], _INFINITE)
+        if near and finite and sigma > 0.0:
+            R = splat.radius(splat.limited(sigma))
+            u2, v2 = u + du, v + dv
+            left, right = ti.cast(ti.floor(ti.min(u, u2)), ti.i32) - R, ti.cast(ti.floor(ti.max(u, u2)), ti.i32) + R
+            if right >= 0 and left < width:
+                first = ti.max(ti.cast(ti.floor(ti.min(v, v2)), ti.i32) - R, 0)
+                last = ti.min(ti.cast(ti.floor(ti.max(v, v2)), ti.i32) + R, height - 1)
+        return first, last
+
+
+@ti.data_oriented
+class _Bands:
+    """The sums, and the scratch of the counting sort: a histogram for each chunk of dots and a list for each band.
+
+    All in one SNode tree: LLVM keeps the root of a loop that touches a single tree in a register and vectorises; with
+    two trees it loads both roots again after every store, and drawing takes twice as long (Taichi 1.7.4).
+    """
+
+    def __init__(self, size: int, height: int, capacity: int):
+        self.bands = -(-height // _BAND)
+        # One chunk must fit even if each of its dots touches every band.
+        self.entries = max(_CHUNK * self.bands, min(2 * capacity, _ENTRIES))
+        self.light = ti.field(ti.i64)
+        self.counts, self.starts, self.taken = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32)
+        self.records = ti.field(ti.f32)
+        tree = ti.FieldsBuilder()
+        tree.dense(ti.i, size).place(self.light)
+        tree.dense(ti.ij, (_CHUNKS, self.bands)).place(self.counts)
+        tree.dense(ti.i, self.bands + 1).place(self.starts)
+        tree.dense(ti.i, 1).place(self.taken)
+        tree.dense(ti.i, self.entries * _RECORD).place(self.records)
+        tree.finalize()
+
+    @ti.func
+    def fit(self, chunks):
+        """Turn counts into positions in the list, for as many chunks as it can hold."""
+        total, taken, room = 0, 0, True
+        for chunk in range(chunks):
+            needed = 0
+            for band in range(self.bands):
+                needed += self.counts[chunk, band]
+            room = room and total + needed <= self.entries
+            if room:
+                total += needed
+                taken = chunk + 1
+        position = 0
+        for band in range(self.bands):
+            self.starts[band] = position
+            for chunk in range(taken):
+                count = self.counts[chunk, band]
+                self.counts[chunk, band] = position
+                position += count
+        self.starts[self.bands] = position
+        self.taken[0] = taken
+
+    @ti.func
+    def append(self, chunk, band, record):
+        """List a dot in a band, at the position that belongs to its chunk."""
+        position = self.counts[chunk, band]
+        self.counts[chunk, band] = position + 1
+        for k in ti.static(range(_RECORD)):
+            self.records[position * _RECORD + k] = record[k]
+
+
+@ti.data_oriented
+class Film:
+    """A film of `width` x `height` pixels, 3 channels, in linear sRGB relative to film white.
+
+    Raises `InputError` unless both are at least 1 and the film has fewer than 2^30 values.
+    """
+
+    def __init__(self, width: int, height: int, *, capacity: int = 1 << 20):
+        self.stride = (width + 2 * splat.PAD) * 3
+        if width < 1 or height < 1:
+            raise InputError(f"film size {width}x{height} is not allowed (at least 1x1)")
+        if (size := self.stride * height + splat.LANES) >= 1 << 30:
+            raise InputError(f"film size {width}x{height} is not allowed (at most {2**30 // 3} pixels)")
+        self.width, self.height = width, height
+        self.threads = backend.current().threads
+        self.is_cpu = backend.current().is_cpu
+        self.bands_per_thread = -(-height // (_BAND * self.threads))
+        self.bands = _Bands(size, height, capacity)
+        self.light = self.bands.light
+        self._background: Any = None
+
+    def clear(self) -> None:
+        """Make the film black."""
+        self._clear()
+
+    def add(self, dots: Dots, count: int) -> None:
+        """Add the first `count` of `dots`. Raises `InputError` unless 0 <= count <= dots.capacity."""
+        if not 0 <= count <= dots.capacity:
+            raise InputError(f"count = {count} dots is not allowed (0 to the capacity {dots.capacity})")
+        if not self.is_cpu:
+            self._add_atomic(dots, count)
+            return
+        first = 0
+        while first < count:
+            first += _CHUNK * self._add_round(dots, first, count)
+
+    def sums(self) -> NDArray[np.int64]:
+        """Return the film in quanta of 2^-24, shape (height, width, 3)."""
+        out = np.empty((self.height, self.width, 3), dtype=np.int64)
+        self._read(out)
+        return out
+
+    def linear(self) -> NDArray[np.float64]:
+        """Return the film relative to film white, shape (height, width, 3)."""
+        return self.sums() * splat.QUANTUM
+
+    def merge(self, sums: NDArray[np.int64]) -> None:
+        """Add the `sums()` of another film. Raises `InputError` if shape or type differ."""
+        shape = (self.height, self.width, 3)
+        if sums.shape != shape or sums.dtype != np.int64:
+            raise InputError(f"sums of {sums.dtype} {sums.shape} cannot be merged into a film of int64 {shape}")
+        self._merge(np.ascontiguousarray(sums))
+
+    def set_background(self, image: ArrayLike | None) -> None:
+        """Set what `develop` adds to the film: shape (height, width, 3), relative to film white; None is black.
+
+        Raises `InputError` if the shape differs or a value is not finite.
+        """
+        if image is None:
+            self._background = None
+            return
+        pixels = np.ascontiguousarray(image, dtype=np.float32)
+        if pixels.shape != (shape := (self.height, self.width, 3)):
+            raise InputError(f"a background of shape {pixels.shape} does not fit a film of shape {shape}")
+        if not np.isfinite(pixels).all():
+            raise InputError("the background holds a value that is not finite")
+        if self._background is None:
+            self._background = ti.field(ti.f32, shape=self.stride * self.height)
+        self._background.from_numpy(np.pad(pixels.reshape(self.height, -1), ((0, 0), (3 * splat.PAD, 3 * splat.PAD))).ravel())
+
+    def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
+        """Return the 8-bit picture, shape (height, width, 3), a new array.
+
+        Arguments:
+            table: display values 0..255 for n >= 2 film values uniform in sqrt(film / film_max), see `Look.display_table`.
+            film_max: film value of the last entry; brighter film looks the same, negative film looks black.
+            dither: add the 8x8 Bayer matrix, in (-0.5, 0.5) of a display step, before rounding.
+
+        Raises `InputError` if the table has another shape or film_max is not above 0.
+        """
+        values = np.ascontiguousarray(table, dtype=np.float32)
+        if values.ndim != 1 or values.size < 2 or not film_max > 0.0:
+            raise InputError(f"table of shape {values.shape}, film_max = {film_max}: (n >= 2,) and above 0 are needed")
+        pattern = (bayer() if dither else np.zeros((8, 8))).astype(np.float32)
+        out = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        if self._background is None:
+            self._develop(out, values, values.size, film_max, pattern, self.light, False)
+        else:
+            self._develop(out, values, values.size, film_max, pattern, self._background, True)
+        return out
+
+    @ti.kernel
+    def _clear(self):
+        for i in self.light:
+            self.light[i] = 0
+
+    @ti.kernel
+    def _add_atomic(self, dots: ti.template(), count: ti.i32):
+        for i in range(count):
+            first, last = dots.rows(i, self.width, self.height)
+            if first <= last:
+                self.draw(dots.read(i), True, 0, self.height)
+
+    @ti.kernel
+    def _add_round(self, dots: ti.template(), start: ti.i32, count: ti.i32) -> ti.i32:
+        """Add dots from `start` on, as many chunks as the lists hold; return how many chunks that was."""
+        chunks = ti.min((count - start + _CHUNK - 1) // _CHUNK, _CHUNKS)
+        for task in range(chunks * _GRAIN):
+            if task % _GRAIN == 0:
+                chunk = task // _GRAIN
+                for band in range(self.bands.bands):
+                    self.bands.counts[chunk, band] = 0
+                for i in range(start + chunk * _CHUNK, ti.min(start + (chunk + 1) * _CHUNK, count)):
+                    first, last = dots.rows(i, self.width, self.height)
+                    if first <= last:
+                        for band in range(first // _BAND, last // _BAND + 1):
+                            self.bands.counts[chunk, band] = self.bands.counts[chunk, band] + 1
+        for _ in range(1):
+            self.bands.fit(chunks)
+        for task in range(self.bands.taken[0] * _GRAIN):
+            if task % _GRAIN == 0:
+                chunk = task // _GRAIN
+                for i in range(start + chunk * _CHUNK, ti.min(start + (chunk + 1) * _CHUNK, count)):
+                    first, last = dots.rows(i, self.width, self.height)
+                    if first <= last:
+                        record = dots.read(i)
+                        for band in range(first // _BAND, last // _BAND + 1):
+                            self.bands.append(chunk, band, record)
+        for task in range(self.threads * self.bands_per_thread * _GRAIN):
+            if task % _GRAIN == 0:
+                # Thread t gets consecutive tasks; give it every threads-th band, or one thread would own the bright rows.
+                rank = task // _GRAIN
+                band = rank % self.bands_per_thread * self.threads + rank // self.bands_per_thread
+                if band < self.bands.bands:
+                    top = band * _BAND
+                    bottom = ti.min(top + _BAND, self.height)
+                    for k in range(self.bands.starts[band], self.bands.starts[band + 1]):
+                        record = ti.Vector([self.bands.records[k * _RECORD + j] for j in range(_RECORD)])
+                        self.draw(record, False, top, bottom)
+        return self.bands.taken[0]
+
+    @ti.func
+    def draw(self, record, atomic: ti.template(), top, bottom):
+        """Draw a dot of `Dots.read` into the rows top <= y < bottom."""
+        u, v, du, dv, sigma, r, g, b = record
+        energy = ti.Vector([r, g, b])
+        splat.draw_streak(self.light, atomic, self.width, top, bottom, u, v, du, dv, sigma, energy)
+
+    @ti.kernel
+    def _read(self, out: ti.types.ndarray(ti.i64, 3)):
+        for y, x, c in ti.ndrange(self.height, self.width, 3):
+            out[y, x, c] = self.light[y * self.stride + (x + splat.PAD) * 3 + c]
+
+    @ti.kernel
+    def _merge(self, sums: ti.types.ndarray(ti.i64, 3)):
+        for y, x, c in ti.ndrange(self.height, self.width, 3):
+            i = y * self.stride + (x + splat.PAD) * 3 + c
+            self.light[i] = self.light[i] + sums[y, x, c]
+
+    @ti.kernel
+    def _develop(
+        self,
+        out: ti.types.ndarray(ti.u8, 3),
+        table: ti.types.ndarray(ti.f32, 1),
+        n: ti.i32,
+        film_max: ti.f32,
+        pattern: ti.types.ndarray(ti.f32, 2),
+        background: ti.template(),
+        has_background: ti.template(),
+    ):
+        for y, x in ti.ndrange(self.height, self.width):
+            for c in ti.static(range(3)):
+                i = y * self.stride + (x + splat.PAD) * 3 + c
+                value = ti.cast(self.light[i], ti.f32) * ti.f32(splat.QUANTUM)
+                if ti.static(has_background):
+                    value += background[i]
+                value = ti.min(ti.max(value, ti.f32(0.0)), film_max)
+                s = ti.sqrt(value / film_max) * ti.cast(n - 1, ti.f32)
+                k = ti.min(ti.cast(s, ti.i32), n - 2)
+                code = table[k] + (s - ti.cast(k, ti.f32)) * (table[k + 1] - table[k])
+                level = ti.floor(code + pattern[y % 8, x % 8] + ti.f32(0.5))
+                out[y, x, c] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.u8)

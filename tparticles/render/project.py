@@ -1,0 +1,111 @@
+"""From particles to dots on the film: perspective, footprint, streak, colour."""
+
+import math
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from ..binding import Parameters
+from .appearance import Appearance
+from .film import Dots
+from .look import Look
+
+# Standard deviation [px] of the pixel filter: a dot smaller than a pixel still has a smooth, alias-free footprint.
+FILTER_SIGMA = 0.55
+_NEAR = 1e-3  # [m]; nothing nearer to the pin-hole is drawn
+
+
+@ti.data_oriented
+class Projector:
+    """Fills `Dots` with the particles of one group.
+
+    A particle is a disc of its diameter D: energy = colour * area on the film [px^2], spread by a Gaussian of the disc's own
+    variance (D/4)^2 plus the pixel filter's. While the shutter is open the dot moves from x - v tau to x; a particle born
+    meanwhile has its energy in proportion.
+
+    Arguments:
+        view: reads particles: `position(i)`, `velocity(i)`, `temperature(i, t)`, `size(i)`, `age(i, t)`, `lifetime(i)`.
+        appearance, look: what they look like.
+    """
+
+    def __init__(self, view: Any, appearance: Appearance, look: Look):
+        self.view = view
+        self.shader = appearance.prepare(look)
+        self.parameters = Parameters()
+        self.appearance = self.parameters.bind(appearance)
+        self.parameters.allocate()
+        self.fades = appearance.fade_in > 0 or appearance.fade_out > 0
+        # position 0-2, right 3-5, up 6-8, forward 9-11, focal length [px] 12, film centre [px] 13, 14
+        self.camera = ti.field(ti.f32, 15)
+
+    def look_from(self, pose: Any, width: int, height: int) -> None:
+        """Point the camera: `pose` has position, right, up, forward (float64, (3,)) and `focal(height)` [px]."""
+        row = np.concatenate([pose.position, pose.right, pose.up, pose.forward])
+        self.camera.from_numpy(np.array([*row, pose.focal(height), width / 2, height / 2], np.float32))
+
+    @ti.kernel
+    def project(self, dots: ti.template(), first: ti.i32, count: ti.i32, t: ti.f64, shutter: ti.f32):
+        """Write particles first..first+count-1 at time `t` [s] into dots 0..count-1; `shutter` [s] before t it opened."""
+        for j in range(count):
+            i = first + j
+            age = ti.cast(self.view.age(i, t), ti.f32)
+            size = ti.cast(self.view.size(i), ti.f32) + self.appearance.growth * age
+            x = ti.cast(self.view.position(i), ti.f32)
+            depth, u, v = self.place(x)
+            open_for = ti.min(shutter, ti.max(age, 0.0))
+            depth2, u2, v2 = self.place(x - open_for * ti.cast(self.view.velocity(i), ti.f32))
+            diameter = size * self.camera[12] / depth
+            energy = ti.static(math.pi / 4) * diameter * diameter * self.shader.color(self.view.temperature(i, t), age)
+            if shutter > 0.0:
+                energy *= open_for / shutter
+            if ti.static(self.fades):
+                energy *= self.fade(age / ti.cast(self.view.lifetime(i), ti.f32))
+            dots.u[j], dots.v[j] = u, v
+            dots.du[j] = ti.select(depth2 > _NEAR, u2 - u, 0.0)
+            dots.dv[j] = ti.select(depth2 > _NEAR, v2 - v, 0.0)
+            dots.sigma[j] = ti.select(depth > _NEAR, self.sigma(diameter), 0.0)
+            dots.r[j], dots.g[j], dots.b[j] = energy[0], energy[1], energy[2]
+
+    @ti.func
+    def place(self, x):
+        """Return (depth [m], u [px], v [px]) of a point; v grows downward."""
+        c = ti.Vector([self.camera[k] for k in ti.static(range(15))])
+        d = x - ti.Vector([c[0], c[1], c[2]])
+        depth = d.dot(ti.Vector([c[9], c[10], c[11]]))
+        scale = c[12] / ti.max(depth, _NEAR)
+        u = c[13] + scale * d.dot(ti.Vector([c[3], c[4], c[5]]))
+        v = c[14] - scale * d.dot(ti.Vector([c[6], c[7], c[8]]))
+        return ti.max(depth, _NEAR * 0.5), u, v
+
+    @ti.func
+    def sigma(self, diameter):
+        """Return the footprint's standard deviation [px] of a disc of `diameter` [px]."""
+        return ti.sqrt(ti.static(FILTER_SIGMA**2) + diameter * diameter / 16.0)
+
+    @ti.func
+    def fade(self, s):
+        """Return smoothstep(s / fade_in) smoothstep((1 - s) / fade_out), s the fraction of the lifetime."""
+        a = ti.math.clamp(s / ti.max(self.appearance.fade_in, 1e-6), 0.0, 1.0)
+        b = ti.math.clamp((1.0 - s) / ti.max(self.appearance.fade_out, 1e-6), 0.0, 1.0)
+        return a * a * (3.0 - 2.0 * a) * b * b * (3.0 - 2.0 * b)
+
+    @ti.func
+    def brightest(self, T, size, x):
+        """Return the largest film value in the brightest pixel of a still dot centred on a pixel."""
+        depth, _u, _v = self.place(ti.cast(x, ti.f32))
+        diameter = ti.cast(size, ti.f32) * self.camera[12] / depth
+        # peak of the normalised footprint: 1 / sum_i exp(-i^2 / (2 s^2)) on each axis; 1 / (sqrt(2 pi) s) once it is wide
+        s = self.sigma(diameter)
+        q = ti.exp(-0.5 / (s * s))
+        axis = ti.select(s > 1.0, ti.static(math.sqrt(2 * math.pi)) * s, 1.0 + 2.0 * (q + q**4 + q**9))
+        area = ti.static(math.pi / 4) * diameter * diameter
+        return self.shader.color(T, 0.0).max() * area / (axis * axis)
+
+
+def draw(projector: Projector, film: Any, dots: Dots, *, count: int, t: float, shutter: float) -> None:
+    """Add `count` particles to the film, as many at a time as the dot buffers hold; integer sums make the split harmless."""
+    for first in range(0, count, dots.capacity):
+        batch = min(dots.capacity, count - first)
+        projector.project(dots, first, batch, t, shutter)
+        film.add(dots, batch)

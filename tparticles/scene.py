@@ -1,0 +1,221 @@
+"""What exists: groups of particles, the laws that move them, a camera, a look. Frozen; allocates nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, SkipValidation
+
+from . import schemes
+from .errors import InputError
+from .physics.cooling import Char, Exponential, Radiative
+from .physics.emitters import Emitter, Schedule
+from .physics.law import Bound
+from .physics.shapes import Region
+from .physics.spread import Spread
+from .render.appearance import Appearance, Background, Glow, Gradient
+from .render.blackbody import BlackbodyTable
+from .render.camera import Camera
+from .render.look import Look
+from .schemes import Scheme
+from .spec import Positive, spec
+from .stepping.control import Clamp, Controller, Fixed
+from .systems.motion import System
+from .systems.view import Constants
+
+QUALITIES = {"preview": (480, 270), "draft": (960, 540), "final": (1920, 1080)}
+
+
+def _one_or_many(value: Any) -> Any:
+    return tuple(value) if isinstance(value, Sequence) else (value,)
+
+
+@spec
+class Group:
+    """Particles of one kind: the same system, emitters, cooling and appearance.
+
+    Particles die of age (emitter lifetimes), by leaving the `region`, and, where a glow cools, when `too_cold` to show: when the
+    brightest pixel of the dot would stay below half a display step under the scene's look.
+    `capacity` is derived from the emitters if it is not given.
+
+    Raises:
+        InputError: parts that do not fit, or a parameter that nothing would use.
+    """
+
+    name: str
+    system: System
+    emitters: Annotated[tuple[Emitter, ...], BeforeValidator(_one_or_many), Field(min_length=1)]
+    appearance: Appearance = Glow()
+    cooling: Exponential | Radiative | Char | None = None
+    region: Region | None = None
+    too_cold: bool = True
+    capacity: Annotated[int, Field(ge=1)] | None = None
+
+    def __post_init__(self) -> None:
+        for emitter in self.emitters:
+            here = f"group '{self.name}', emitter '{emitter.name}'"
+            if self.appearance.uses_temperature and emitter.temperature is None:
+                raise InputError(f"{here}: a Glow needs a temperature; give emitter.temperature or use a Ramp")
+            if not self.appearance.uses_temperature and (emitter.temperature or self.cooling):
+                raise InputError(f"{here}: nothing uses temperature or cooling under a Ramp; leave them out or use a Glow")
+            if emitter.velocity is not None and self.system.order == 1:
+                raise InputError(
+                    f"{here}: advected particles move with the flow and have no velocity of their own; "
+                    "leave emitter.velocity out or use Newtonian"
+                )
+            if emitter.lifetime is None and (self.appearance.fade_in or self.appearance.fade_out):
+                raise InputError(f"{here}: fade_in and fade_out are fractions of a lifetime; give emitter.lifetime")
+
+    @property
+    def freezes(self) -> bool:
+        """Whether particles can die of cold."""
+        return self.too_cold and self.appearance.uses_temperature and self.cooling is not None
+
+    def _values(self, name: str) -> list[Spread | None]:
+        return [getattr(emitter, name) for emitter in self.emitters]
+
+    def _stored(self, name: str) -> bool:
+        values = self._values(name)
+        return any(v is not None and v.varies for v in values) or len({v.mean if v else None for v in values}) > 1
+
+    def attributes(self, *, streaks: bool) -> tuple[str, ...]:
+        """Return the names of the attributes that this group needs, and no more."""
+        names = ["x", "id", "birth"]
+        if self.system.order == 2 or streaks:
+            names.append("v")
+        if self.cooling is not None and self.cooling.integrated:
+            names.append("T")
+        elif self.appearance.uses_temperature and self._stored("temperature"):
+            names.append("T0")
+        return (*names, *(name for name in ("size", "lifetime") if self._stored(name)))
+
+    def constants(self) -> Constants:
+        """Return what all particles share where it is no attribute."""
+
+        def common(name: str, default: float) -> float:
+            value = self._values(name)[0]
+            return default if value is None else value.mean
+
+        return Constants(T0=common("temperature", 0.0), size=common("size", 0.0), lifetime=common("lifetime", math.inf))
+
+    def longest_life(self, look: Look) -> float:
+        """Return a bound on the age at death [s], infinite where there is none."""
+        lifetimes = [math.inf if v is None else v.high for v in self._values("lifetime")]
+        bounds = [max(lifetimes)]
+        if self.freezes and not isinstance(self.cooling, Char):
+            seen = dataclasses.replace(look, ev=look.ev - math.log2(self.appearance.emissivity))  # type: ignore[union-attr]
+            coldest = seen.coldest_visible(BlackbodyTable.build(adaptation=look.adaptation()))
+            hottest = max(v.high for v in self._values("temperature") if v)
+            largest = max(v.high for v in self._values("size") if v)
+            size = (largest,) if isinstance(self.cooling, Radiative) else ()
+            bounds.append(self.cooling.age_at(coldest, hottest, *size))  # type: ignore[union-attr]
+        return min(bounds)
+
+    def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
+        """Return how many particles can be alive at once, if deaths wait for the end of a frame [s]."""
+        if self.capacity is not None:
+            return self.capacity
+        life = self.longest_life(look)
+        return max(1, sum(schedule.most_alive(life, frame) for schedule in schedules))
+
+    def jacobian_bound(self) -> Bound:
+        """Return the bound on the rates of the whole right-hand side [1/s], integrated cooling included."""
+        bound = self.system.jacobian_bound()
+        if isinstance(self.cooling, Char):
+            hottest = max(v.high for v in self._values("temperature") if v)
+            smallest = min(v.low for v in self._values("size") if v)
+            bound = bound + self.cooling.jacobian_bound_for(hottest=max(hottest, 1500.0), smallest=smallest)
+        return bound
+
+
+@spec
+class Scene:
+    """A film: groups of particles, a camera, a look, and how time is stepped.
+
+    `duration` [s], `fps` (24, 25, "30000/1001"), `size` (width, height) [px] or None for the size of the quality.
+    `scheme`: a name of the catalogue or a `Scheme` made in the scene script. `steps`: the controller; `clamp`: how its steps are
+    fitted to the frame. `shutter`: the part of a frame that it is open (0: no streaks; 0.5: a 180 degree shutter).
+
+    Raises:
+        InputError: a wrong value, two groups of one name.
+    """
+
+    groups: Annotated[tuple[Group, ...], BeforeValidator(_one_or_many), Field(min_length=1)]
+    camera: Camera
+    look: Look = Look()
+    background: Background = Gradient()
+    duration: Positive = 10.0
+    fps: Annotated[Fraction, BeforeValidator(lambda v: frame_rate(v))] = Fraction(24)
+    size: tuple[Annotated[int, Field(ge=1, le=16384)], Annotated[int, Field(ge=1, le=16384)]] | None = None
+    scheme: Annotated[SkipValidation[Scheme], BeforeValidator(lambda v: schemes.get(v))] = schemes.get("rk4")
+    steps: Controller = Fixed(dt=1 / 96)
+    clamp: Clamp = "equal"
+    shutter: Annotated[float, Field(ge=0, le=1)] = 0.5
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def __post_init__(self) -> None:
+        names = [group.name for group in self.groups]
+        for name in {n for n in names if names.count(n) > 1}:
+            raise InputError(f"two groups are named '{name}'")
+        for group in self.groups:
+            if group.system.order not in self.scheme.system_orders:
+                raise InputError(f"scheme '{self.scheme.name}' cannot run group '{group.name}', of order {group.system.order}")
+        if self.frame_count < 1:
+            raise InputError(f"duration = {self.duration:g} s is shorter than one frame at {self.fps} fps")
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames the film has; frame k, from 1, shows the time k / fps."""
+        return math.floor(Fraction(self.duration).limit_denominator(10**6) * self.fps)
+
+    def resolution(self, quality: Literal["preview", "draft", "final"] = "final") -> tuple[int, int]:
+        """Return (width, height) [px]."""
+        return self.size or QUALITIES[quality]
+
+    def identity(self) -> str:
+        """Return a hash of everything that decides the pixels of this scene, in hexadecimal."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+
+def frame_rate(value: Any) -> Fraction:
+    """Return a frame rate as an exact fraction; accepts 24, 29.97 (as written), "30000/1001".
+
+    Raises:
+        InputError: no number, not above 0, or above 1000.
+    """
+    try:
+        rate = Fraction(str(value).strip())
+    except (ValueError, ZeroDivisionError):
+        raise InputError(f"fps = {value}: a number or a fraction such as 30000/1001 is needed") from None
+    if not 0 < rate <= 1000:
+        raise InputError(f"fps = {value}: must be above 0 and at most 1000")
+    return rate
+
+
+def frame_numbers(text: str, count: int) -> tuple[int, ...]:
+    """Return the frames of a range such as `1-240`, `1-240x2` (every second), `7`, `100-`, or several with commas.
+
+    Raises:
+        InputError: it cannot be read, is empty, or leaves 1..`count`; frames out of range are named.
+    """
+    chosen: set[int] = set()
+    for part in text.split(","):
+        span, _, step = part.strip().partition("x")
+        low, dash, high = span.partition("-")
+        try:
+            first = int(low)
+            last = int(high) if high else (count if dash else first)
+            stride = int(step) if step else 1
+        except ValueError:
+            raise InputError(f"frames '{text}': '{part}' is no range such as 1-240, 1-240x2 or 7") from None
+        if first < 1 or last > count or stride < 1:
+            raise InputError(f"frames '{text}': '{part}' leaves the film, which has frames 1-{count} (step at least 1)")
+        chosen.update(range(first, last + 1, stride))
+    if not chosen:
+        raise InputError(f"frames '{text}': the range is empty (the film has frames 1-{count})")
+    return tuple(sorted(chosen))

@@ -1,0 +1,234 @@
+"""The fused stepper: a whole frame of sub-steps for particles without neighbours, in one launch.
+
+`for block of lanes: while any lane has time left: for op: for lane`. The ops of the scheme are walked at run time over coefficients
+in a small field, so the law is compiled once whatever the scheme, and another scheme is other data. A block of particles
+lives in local vectors that the compiler vectorises over (LANES = 16 on a CPU); on a GPU a block is one particle.
+A lane whose particle has arrived takes steps of zero length, so no particle depends on its neighbours.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from .. import backend
+from ..binding import Parameters
+from ..schemes import OpKind, Scheme
+from ..systems.attributes import Columns
+from ..systems.terms import FLOW_REGISTER, heat
+from .control import CLAMPS
+
+_COMBINE = int(OpKind.COMBINE)
+_LONG = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What one advance took: sub-steps over all particles, the smallest and the largest dt [s] (0 if none was taken)."""
+
+    steps: int = 0
+    dt_min: float = 0.0
+    dt_max: float = 0.0
+
+
+@ti.data_oriented
+class FusedStepper:
+    """Advances the particles of one group.
+
+    Arguments:
+        system: what moves them (`Advected` or `Newtonian`).
+        cooling: a cooling law or None; T joins the state if the law is integrated.
+        scheme: the integrator, as data.
+        clamp: how steps are fitted to the frame, `equal` or `slide32`.
+        columns: the particles' attributes.
+        size: the common diameter [m] where it is no attribute.
+        lanes: particles per block; the backend's choice by default.
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        *,
+        cooling: Any,
+        scheme: Scheme,
+        clamp: str,
+        columns: Columns,
+        size: float,
+        lanes: int | None = None,
+    ):
+        self.lanes = lanes or backend.current().lanes
+        self.columns = columns
+        self.clamp = CLAMPS[clamp]
+        self.parameters = Parameters()
+        self.terms = system.terms(self.parameters)
+        self.state = [field for name in system.state for field in columns[name]]
+        self.heated = cooling is not None and cooling.integrated
+        if self.heated:
+            self.terms.append(heat(cooling, self.parameters, len(self.state)))
+            self.state += columns["T"]
+        self.parameters.values.append(float(size))  # read where size is no attribute
+        self.parameters.allocate()
+        # first-order particles have no velocity of their own; where one is wanted, it is the slope at the frame's end
+        self.probes = system.order == 1 and "v" in columns
+        self._load_scheme(scheme)
+        self.counts = ti.field(ti.i64, 1)
+        self.extremes = ti.field(ti.i32, 2)
+
+    def _load_scheme(self, scheme: Scheme) -> None:
+        self.slopes = scheme.slopes
+        kinds, slopes, times = (np.zeros(len(scheme.ops) + 1, t) for t in (np.int32, np.int32, float))
+        weights = np.zeros((len(scheme.ops) + 1, scheme.slopes))
+        for i, op in enumerate(scheme.ops):
+            kinds[i], slopes[i], times[i] = op.kind, op.slope, op.time
+            weights[i, : len(op.weights)] = op.weights
+        kinds[-1] = OpKind.EVALUATE  # one op more, after the last: the probe, k_0 = f(t, z)
+        self.program = ti.field(ti.i32, 1)
+        self.program[0] = len(scheme.ops)
+        self.kinds, self.slope = ti.field(ti.i32, len(kinds)), ti.field(ti.i32, len(kinds))
+        self.times, self.weights = ti.field(float, len(kinds)), ti.field(float, weights.shape)
+        for field, values in ((self.kinds, kinds), (self.slope, slopes), (self.times, times), (self.weights, weights)):
+            field.from_numpy(values)
+
+    def advance(self, count: int, t0: float, t1: float, dt: float) -> StepReport:
+        """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`."""
+        if count == 0:
+            return StepReport()
+        self._advance(count, t0, t1, dt)
+        low, high = (float(v) for v in self.extremes.to_numpy().view(np.float32))
+        steps = int(self.counts[0])
+        return StepReport(steps, low, high) if steps else StepReport()
+
+    @ti.func
+    def _rate(self, term: ti.template(), p, t, z, u, q):
+        return term.evaluate(term.law, p, t, z, u, q)
+
+    @ti.kernel
+    def _advance(self, count: ti.i32, t0: ti.f64, t1: ti.f64, dt: float):
+        self.counts[0] = 0
+        self.extremes[0] = _LONG
+        self.extremes[1] = 0
+        for block in range((count + self.lanes - 1) // self.lanes):
+            # Parameters as locals: a load from a field inside a lane loop might alias a store and stop vectorisation.
+            size = ti.static(self.parameters.field.shape[0])
+            values = ti.Vector([self.parameters.field[i] for i in ti.static(range(size))])
+            ti.static(self.parameters.hoist(values))
+            self._advance_block(block, count, t0, t1, dt, values[size - 1])
+
+    @ti.func
+    def _advance_block(self, block, count, t0, t1, dt, size):
+        lanes = ti.static(self.lanes)
+        m = ti.static(len(self.state))
+        z0 = [ti.Vector([0.0] * lanes) for _ in range(m)]
+        z = [ti.Vector([0.0] * lanes) for _ in range(m)]
+        k = [ti.Vector([0.0] * (lanes * self.slopes)) for _ in range(m)]
+        u = [ti.Vector([0.0] * lanes) for _ in range(3)]
+        left, start, h = ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes)
+        age, sizes = ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes)
+        longest = ti.cast(0.0, float)
+        for lane in range(lanes):
+            i = block * lanes + lane
+            for d in ti.static(range(m)):
+                z0[d][lane] = self.state[d][i]
+            birth = self.columns["birth"][0][i]
+            begin = ti.max(t0, birth)
+            left[lane] = ti.select(i < count, ti.cast(t1 - begin, float), 0.0)
+            start[lane] = ti.cast(t1 - t0, float)
+            age[lane] = ti.cast(t0 - birth, float)
+            sizes[lane] = size
+            if ti.static("size" in self.columns):
+                sizes[lane] = self.columns["size"][0][i]
+            longest = ti.max(longest, left[lane])
+        steps = 0
+        shortest_step, longest_step = ti.cast(ti.math.inf, float), ti.cast(0.0, float)
+        probing = ti.cast(ti.static(1 if self.probes else 0), ti.i32)
+        while longest > 0.0 or probing > 0:
+            first, last = 0, self.program[0]
+            if longest <= 0.0:
+                first, last, probing = last, last + 1, 0
+            for lane in range(lanes):
+                h[lane] = ti.select(left[lane] > 0.0, ti.min(left[lane], self.clamp(left[lane], dt)), 0.0)
+                for d in ti.static(range(m)):
+                    z[d][lane] = z0[d][lane]
+            for op in range(first, last):
+                if self.kinds[op] == _COMBINE:
+                    self._combine(op, z0, z, k, h)
+                else:
+                    self._evaluate(op, z, k, u, h, start, left, age, sizes, ti.cast(t0, float))
+            longest = 0.0
+            for lane in range(lanes):
+                for d in ti.static(range(m)):
+                    z0[d][lane] = z[d][lane]
+                steps += ti.select(h[lane] > 0.0, 1, 0)
+                shortest_step = ti.select(h[lane] > 0.0, ti.min(shortest_step, h[lane]), shortest_step)
+                longest_step = ti.max(longest_step, h[lane])
+                left[lane] -= h[lane]
+                longest = ti.max(longest, left[lane])
+        for lane in range(lanes):
+            i = block * lanes + lane
+            for d in ti.static(range(m)):
+                self.state[d][i] = z0[d][lane]
+            if ti.static(self.probes):
+                for d in ti.static(range(3)):
+                    self.columns["v"][d][i] = k[d][lane]
+        ti.atomic_add(self.counts[0], ti.cast(steps, ti.i64))
+        if steps > 0:
+            ti.atomic_min(self.extremes[0], ti.bit_cast(ti.cast(shortest_step, ti.f32), ti.i32))
+            ti.atomic_max(self.extremes[1], ti.bit_cast(ti.cast(longest_step, ti.f32), ti.i32))
+
+    @ti.func
+    def _combine(self, op, z0: ti.template(), z: ti.template(), k: ti.template(), h: ti.template()):
+        """z = z0 + dt sum_j w_j k_j."""
+        lanes, m = ti.static(self.lanes, len(self.state))
+        for lane in range(lanes):
+            for d in ti.static(range(m)):
+                z[d][lane] = z0[d][lane]
+        for j in range(self.slopes):
+            w = self.weights[op, j]
+            if w != 0.0:
+                for lane in range(lanes):
+                    for d in ti.static(range(m)):
+                        z[d][lane] += (w * h[lane]) * k[d][j * lanes + lane]
+
+    @ti.func
+    def _evaluate(
+        self,
+        op,
+        z: ti.template(),
+        k: ti.template(),
+        u: ti.template(),
+        h: ti.template(),
+        start: ti.template(),
+        left: ti.template(),
+        age: ti.template(),
+        sizes: ti.template(),
+        t0,
+    ):
+        """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term."""
+        lanes, m = ti.static(self.lanes, len(self.state))
+        c, slot = self.times[op], self.slope[op] * lanes
+        for lane in range(lanes):
+            for d in ti.static(range(m)):
+                k[d][slot + lane] = 0.0
+        for term in ti.static(self.terms):
+            if ti.static(term.resets_flow):
+                for lane in range(lanes):
+                    for d in ti.static(range(3)):
+                        u[d][lane] = 0.0
+            for p in range(term.passes):
+                for lane in range(lanes):
+                    # time since the frame began: what is done, plus the stage
+                    tau = start[lane] - left[lane] + c * h[lane]
+                    value = self._rate(
+                        term,
+                        p,
+                        t0 + tau,
+                        ti.Vector([z[d][lane] for d in ti.static(range(m))]),
+                        ti.Vector([u[d][lane] for d in ti.static(range(3))]),
+                        ti.Vector([age[lane] + tau, sizes[lane]]),
+                    )
+                    for d in ti.static(range(term.width)):
+                        if ti.static(term.first == FLOW_REGISTER):
+                            u[d][lane] += value[d]
+                        else:
+                            k[term.first + d][slot + lane] += value[d]

@@ -1,0 +1,65 @@
+"""The two kinds of particle system without neighbours: carried by a flow, or with inertia.
+
+A system says which attributes are its state and lists the terms of its right-hand side; a stepper does the rest.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import SkipValidation
+
+from ..errors import InputError
+from ..physics.law import Bound, ForceLike, check_flow, flow_terms, jacobian_bound
+from ..spec import spec
+from . import terms
+
+
+@spec
+class Advected:
+    """First order: x' = u(t, x), the particle moves with the `flow` (slide 12)."""
+
+    flow: SkipValidation[Any]
+
+    order = 1
+    state = ("x",)
+
+    def __post_init__(self) -> None:
+        check_flow("Advected.flow", self.flow)
+
+    def terms(self, parameters: Any) -> list[terms.Term]:
+        """Return the terms of dx/dt."""
+        return terms.flow(self.flow, parameters, 0)
+
+    def jacobian_bound(self) -> Bound:
+        """Return the bound on du/dx [1/s]."""
+        return jacobian_bound(flow_terms(self.flow))
+
+
+@spec
+class Newtonian:
+    """Second order: x' = v, v' = sum of `forces`, each an acceleration [m/s^2]."""
+
+    forces: SkipValidation[tuple[Any, ...]]
+
+    order = 2
+    state = ("x", "v")
+
+    def __post_init__(self) -> None:
+        for force in self.forces if isinstance(self.forces, tuple | list) else (self.forces,):
+            if not isinstance(force, ForceLike):
+                raise InputError(f"Newtonian.forces: {force!r} is no force: it has no acceleration(self, t, x, v)")
+        object.__setattr__(
+            self, "forces", tuple(self.forces) if isinstance(self.forces, tuple | list) else (self.forces,)
+        )
+
+    def terms(self, parameters: Any) -> list[terms.Term]:
+        """Return the terms of dx/dt and dv/dt."""
+        return [terms.motion(), *(term for force in self.forces for term in terms.force(force, parameters))]
+
+    def jacobian_bound(self) -> Bound:
+        """Return the bound on the eigenvalues of the first-order form [1/s]."""
+        return jacobian_bound(self.forces)
+
+
+System = Advected | Newtonian
