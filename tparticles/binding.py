@@ -3,7 +3,7 @@
 Bound for a kernel, the attributes of a spec or a law (an object with `@ti.func` methods) are
 
 - float, or tuple of floats (a vector): read from a parameter pool at run time, so that another value compiles nothing;
-- NumPy array: a field, indexed at run time as `self.name[i]`;
+- NumPy array (one-dimensional): in the pool too, indexed at run time as `self.name[i]`;
 - other specs and laws (and tuples of them): bound in turn;
 - all the rest (int, bool, str): constants of the compiled kernel.
 
@@ -15,45 +15,39 @@ from typing import Any
 
 import numpy as np
 import taichi as ti
+from taichi.lang.impl import subscript
 
-
-@ti.func
-def _scalar(source: ti.template(), i: ti.template()):
-    return source[i]
-
-
-@ti.func
-def _vector(source: ti.template(), i: ti.template(), n: ti.template()):
-    return ti.Vector([source[i + d] for d in ti.static(range(n))])
+from . import backend
 
 
 class Parameters:
-    """The pool of one kernel's run-time parameters.
+    """A pool of run-time parameters, handed to kernels as one array.
 
-    `source` is what the bound attributes read: the field, or, inside a kernel that called `hoist`, a local vector. Lane
-    loops only vectorise over locals: a load from a field inside them might alias a store.
+    A kernel that uses bound objects takes `values: ti.types.ndarray(ndim=1)` and says first
+    `ti.static(self.parameters.read_from(values))`; it is launched with `self.parameters.array`.
     """
 
     def __init__(self) -> None:
-        self.values: list[float] = []
-        self.source: Any = None
-        self.field: Any = None
+        self.scalars: list[float] = []
+        self._tables: list[np.ndarray] = []
+        self._length = 0
+        self._array: np.ndarray | None = None
+        self._source: Any = None
+        self._locals: Any = None
 
     def bind(self, law: Any, *, skip: tuple[str, ...] = ()) -> Any:
-        """Return a twin of `law` for use inside a kernel, without the attributes in `skip`; its floats join the pool."""
+        """Return a twin of `law` for use inside kernels, without the attributes in `skip`."""
         properties: dict[str, Any] = {}
         constants: dict[str, Any] = {}
         for name, value in (vars(law) | getattr(law, "derived", dict)()).items():
             if name in skip:
                 continue
             if isinstance(value, float):
-                properties[name] = self._reader(len(self.values), None)
-                self.values.append(value)
+                properties[name] = self._scalar(value)
             elif isinstance(value, tuple) and value and all(isinstance(v, float) for v in value):
-                properties[name] = self._reader(len(self.values), len(value))
-                self.values.extend(value)
+                properties[name] = self._vector(value)
             elif isinstance(value, np.ndarray):
-                constants[name] = _table(value)
+                constants[name] = self._table(value)
             elif isinstance(value, tuple):
                 constants[name] = tuple(self.bind(v) if _is_bindable(v) else v for v in value)
             else:
@@ -62,19 +56,55 @@ class Parameters:
         bound.__dict__.update(constants)
         return bound
 
-    def _reader(self, first: int, count: int | None) -> property:
-        if count is None:
-            return property(lambda _: _scalar(self.source, first))
-        return property(lambda _: _vector(self.source, first, count))
+    def _scalar(self, value: float) -> property:
+        i = len(self.scalars)
+        self.scalars.append(value)
+        return property(lambda _: self.load(i))
 
-    def allocate(self) -> None:
-        """Make the field and fill it; call once, after the last `bind` and before the first launch."""
-        self.field = self.source = ti.field(float, max(1, len(self.values)))
-        self.field.from_numpy(np.asarray(self.values or [0.0]).astype(np.float64))
+    def _vector(self, values: tuple[float, ...]) -> property:
+        first = len(self.scalars)
+        self.scalars.extend(values)
+        return property(lambda _: ti.Vector([self.load(first + d) for d in range(len(values))]))
 
-    def hoist(self, local: Any) -> None:
-        """Read from the local vector `local` from here on (called while a kernel is traced)."""
-        self.source = local
+    def _table(self, values: np.ndarray) -> "_Table":
+        table = _Table(self, self._length)
+        self._tables.append(values.ravel())
+        self._length += values.size
+        return table
+
+    @property
+    def array(self) -> np.ndarray:
+        """All values in the precision of the run: scalars, then tables."""
+        if self._array is None:
+            kind = np.float64 if backend.current().precision == "f64" else np.float32
+            self._array = np.concatenate([np.array([*self.scalars, 0.0]), *self._tables]).astype(kind)
+        return self._array
+
+    def read_from(self, values: Any) -> None:
+        """Read from the kernel's array `values` from here on (while the kernel is traced)."""
+        self._source, self._locals = values, None
+
+    def hoist(self, locals_: Any) -> None:
+        """Read the scalars from a local vector instead: a load from an array inside a lane loop might alias a store."""
+        self._locals = locals_
+
+    def load(self, i: int) -> Any:
+        """Return scalar `i` (while a kernel is traced)."""
+        return subscript(None, self._source if self._locals is None else self._locals, i)
+
+    def load_table(self, i: Any) -> Any:
+        """Return entry `i` of the tables (while a kernel is traced); `i` may be a run-time value."""
+        return subscript(None, self._source, len(self.scalars) + 1 + i)
+
+
+class _Table:
+    """A table inside the pool; kernels index it like a field."""
+
+    def __init__(self, pool: Parameters, first: int):
+        self._pool, self._first = pool, first
+
+    def __getitem__(self, i: Any) -> Any:
+        return self._pool.load_table(self._first + i)
 
 
 def _is_bindable(value: Any) -> bool:
@@ -82,9 +112,3 @@ def _is_bindable(value: Any) -> bool:
         return False
     functions = (f for cls in type(value).__mro__ for f in vars(cls).values())
     return dataclasses.is_dataclass(value) or any(getattr(f, "_is_taichi_function", False) for f in functions)
-
-
-def _table(values: np.ndarray) -> Any:
-    table = ti.field(ti.u32 if values.dtype == np.uint32 else float, values.shape)
-    table.from_numpy(values)
-    return table

@@ -62,7 +62,9 @@ class Group:
             if self.appearance.uses_temperature and emitter.temperature is None:
                 raise InputError(f"{here}: a Glow needs a temperature; give emitter.temperature or use a Ramp")
             if not self.appearance.uses_temperature and (emitter.temperature or self.cooling):
-                raise InputError(f"{here}: nothing uses temperature or cooling under a Ramp; leave them out or use a Glow")
+                raise InputError(
+                    f"{here}: nothing uses temperature or cooling under a Ramp; leave them out or use a Glow"
+                )
             if emitter.velocity is not None and self.system.order == 1:
                 raise InputError(
                     f"{here}: advected particles move with the flow and have no velocity of their own; "
@@ -164,7 +166,9 @@ class Scene:
             raise InputError(f"two groups are named '{name}'")
         for group in self.groups:
             if group.system.order not in self.scheme.system_orders:
-                raise InputError(f"scheme '{self.scheme.name}' cannot run group '{group.name}', of order {group.system.order}")
+                raise InputError(
+                    f"scheme '{self.scheme.name}' cannot run group '{group.name}', of order {group.system.order}"
+                )
         if self.frame_count < 1:
             raise InputError(f"duration = {self.duration:g} s is shorter than one frame at {self.fps} fps")
 

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from . import backend
+from .binding import Parameters
 from .errors import InputError, RunError
 from .render.appearance import film_background
 from .render.film import Dots, Film
-from .render.project import Projector, draw
+from .render.project import Projector, camera_row, draw
 from .scene import Group, Scene
 from .stepping.control import StabilityLimit, frame_step
 from .stepping.fused import FusedStepper, StepReport
@@ -85,7 +86,7 @@ class _Group:
         _check_memory(spec.name, capacity, bytes_per_particle(names, precision))
         self.columns = Columns(names, capacity)
         constants = spec.constants()
-        self.view = View(self.columns, cooling=spec.cooling, constants=constants)
+        self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
         bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
         self.dt = frame_step(scene.steps, scheme=scene.scheme, bound=bound, frame=frame)
         self.stepper = FusedStepper(
@@ -151,7 +152,7 @@ class Simulation:
         self.width, self.height = scene.resolution(quality)  # type: ignore[arg-type]
         self.frame_seconds = 1 / scene.fps
         end = float(Fraction(scene.frame_count) / scene.fps)
-        scene.camera.pose(0.0)
+        self._camera_at = 0.0, camera_row(scene.camera.pose(0.0), self.width, self.height)
         self.groups = [_Group(g, scene, frame=float(self.frame_seconds), end=end) for g in scene.groups]
         self.film = Film(self.width, self.height)
         self.film.set_background(film_background(scene.background, scene.look, self.width, self.height))
@@ -194,9 +195,8 @@ class Simulation:
         report.born += people.emit(t0, t1)
         middle = time.perf_counter()
         report.add_steps(group.stepper.advance(people.alive, t0, t1, group.dt))
-        self._aim(group, t1)
         try:
-            died = group.mortality.mark(people.alive, t1, self.threshold)
+            died = group.mortality.mark(people.alive, t1, self.threshold, self._camera(t1))
         except RunError as error:
             raise RunError(
                 f"frame {self._frame + 1}, group '{group.spec.name}': {error} "
@@ -207,8 +207,10 @@ class Simulation:
         report.ms["births"] += (middle - start) * 1e3
         report.ms["step"] += (time.perf_counter() - middle) * 1e3
 
-    def _aim(self, group: _Group, t: float) -> None:
-        group.projector.look_from(self.scene.camera.pose(t), self.width, self.height)
+    def _camera(self, t: float) -> np.ndarray:
+        if self._camera_at[0] != t:
+            self._camera_at = t, camera_row(self.scene.camera.pose(t), self.width, self.height)
+        return self._camera_at[1]
 
     def draw(self, report: FrameReport) -> np.ndarray:
         """Draw the present state; return the picture, (h, w, 3) uint8."""
@@ -216,8 +218,15 @@ class Simulation:
         self.film.clear()
         shutter = self.scene.shutter * float(self.frame_seconds)
         for group in self.groups:
-            self._aim(group, report.time)
-            draw(group.projector, self.film, self.dots, count=group.population.alive, t=report.time, shutter=shutter)
+            draw(
+                group.projector,
+                self.film,
+                self.dots,
+                count=group.population.alive,
+                t=report.time,
+                shutter=shutter,
+                camera=self._camera(report.time),
+            )
         image = self.film.develop(self.table, self.film_max, dither=self.scene.look.dither)
         report.ms["draw"] += (time.perf_counter() - start) * 1e3
         return image

@@ -121,7 +121,8 @@ class CurlNoise(Flow):
             "frequency": frequency,
             "strength": self.speed * self.gain**o / frequency / _RMS,
             "rate": self.lacunarity ** (o * 2 / 3) * (2 / self.period if self.period else 0.0),
-            "octave_seed": np.array([stream_key(self.seed, f"octave {i}") for i in o], np.uint32),
+            # 24 bits: exact as a real of either precision
+            "octave_seed": np.array([stream_key(self.seed, f"octave {i}") >> 8 for i in o], float),
             "turning": self.period > 0,
             "ramped": self.ramp > 0,
         }
@@ -131,7 +132,7 @@ class CurlNoise(Flow):
         """Return the velocity [m/s] of octave `o`."""
         f = self.frequency[o]
         p = (x - t * self.drift) * f
-        psi, curl = potential(p, self.octave_seed[o], t * self.rate[o], self.turning, self.ramped)
+        psi, curl = potential(p, ti.cast(self.octave_seed[o], ti.u32), t * self.rate[o], self.turning, self.ramped)
         u = (self.strength[o] * f) * curl
         if ti.static(self.ramped):
             # curl(s psi) = s curl psi + grad s x psi, s = smoothstep((z - ground) / ramp)

@@ -59,31 +59,26 @@ class Ramp:
 Appearance = Glow | Ramp
 
 
-@ti.data_oriented
 class GlowShader:
     """Colour of a temperature [K] by table lookup, linear in 1/T; the NumPy twin is `BlackbodyTable.lookup`."""
 
     def __init__(self, glow: Glow, look: Look):
         table = BlackbodyTable.build(adaptation=look.adaptation())
-        self.entries = table.n
-        self.rows = ti.field(ti.f32, (table.n, 4))
-        self.rows.from_numpy(table.values.astype(np.float32))
-        # What varies between looks stays data, so that another exposure compiles nothing.
-        self.scales = ti.field(ti.f32, 3)
-        self.scales.from_numpy(np.array([table.u_min, table.steps_per_u, look.exposure * glow.emissivity], np.float32))
+        self.entries, self.rows = table.n, table.values
+        self.u_min, self.steps_per_u = float(table.u_min), float(table.steps_per_u)
+        self.scale = look.exposure * glow.emissivity
 
     @ti.func
     def color(self, T, age):
         """Return linear sRGB film values of a dot that covers the whole pixel; may be negative out of gamut."""
-        s = ti.max((1.0 / ti.math.clamp(ti.cast(T, ti.f32), 1.0, 12000.0) - self.scales[0]) * self.scales[1], 0.0)
+        s = ti.max((1.0 / ti.math.clamp(T, 1.0, 12000.0) - self.u_min) * self.steps_per_u, 0.0)
         i = ti.min(ti.cast(s, ti.i32), self.entries - 2)
-        w = s - ti.cast(i, ti.f32)
-        row = ti.Vector([self.rows[i, c] * (1.0 - w) + self.rows[i + 1, c] * w for c in ti.static(range(4))])
-        rgb = ti.exp(row[0]) * self.scales[2] * ti.Vector([row[1], row[2], row[3]])
+        w = s - ti.cast(i, float)
+        row = ti.Vector([self.rows[4 * i + c] * (1.0 - w) + self.rows[4 * i + 4 + c] * w for c in ti.static(range(4))])
+        rgb = ti.exp(row[0]) * self.scale * ti.Vector([row[1], row[2], row[3]])
         return ti.select(T < 500.0, 0.0, 1.0) * rgb
 
 
-@ti.data_oriented
 class RampShader:
     """Colour of an age [s] by linear interpolation between the stops, in linear light."""
 
@@ -91,18 +86,18 @@ class RampShader:
         stops = srgb_decode(np.array(ramp.colors, float)) * ramp.brightness
         stops = np.concatenate([stops, stops[-1:]])  # so that the last stop has a next one
         self.last = len(ramp.colors) - 1
-        self.stops = ti.field(ti.f32, stops.shape)
-        self.stops.from_numpy(stops.astype(np.float32))
-        self.pace = ti.field(ti.f32, 1)
-        self.pace[0] = max(self.last, 1) / ramp.span
+        self.stops = stops
+        self.pace = max(self.last, 1) / ramp.span
 
     @ti.func
     def color(self, T, age):
         """Return linear sRGB film values of a dot that covers the whole pixel."""
-        s = ti.math.clamp(ti.cast(age, ti.f32) * self.pace[0], 0.0, ti.cast(self.last, ti.f32))
+        s = ti.math.clamp(age * self.pace, 0.0, ti.cast(self.last, float))
         i = ti.cast(s, ti.i32)
-        w = s - ti.cast(i, ti.f32)
-        return ti.Vector([self.stops[i, c] * (1.0 - w) + self.stops[i + 1, c] * w for c in ti.static(range(3))])
+        w = s - ti.cast(i, float)
+        return ti.Vector(
+            [self.stops[3 * i + c] * (1.0 - w) + self.stops[3 * i + 3 + c] * w for c in ti.static(range(3))]
+        )
 
 
 @spec

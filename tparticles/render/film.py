@@ -19,11 +19,13 @@ from tparticles.errors import InputError
 from tparticles.render import splat
 from tparticles.render.look import bayer
 
-_BAND = 8  # rows owned by one thread at a time
+_BAND = 16  # rows owned by one thread at a time
 _CHUNK = 2048  # dots that one thread counts and lists at a time
 _CHUNKS = 512  # chunks in a round of the counting sort
 _ENTRIES = 1 << 21  # most dots listed in a round (64 MiB); more dots take more rounds
 _RECORD = 8  # f32 in a listed dot
+_TABLE = 1 << 13  # most entries of a display table
+_LANES = 24  # values developed together: 8 pixels, one row of the dither matrix
 _GRAIN = 512  # Taichi gives one CPU thread at least this many iterations: so many make one coarse task
 _INFINITE = 2.0**127
 _NAMES = ("u", "v", "du", "dv", "sigma", "r", "g", "b")
@@ -120,13 +122,15 @@ class _Bands:
         self.entries = max(_CHUNK * self.bands, min(2 * capacity, _ENTRIES))
         self.light = ti.field(ti.i64)
         self.counts, self.starts, self.taken = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32)
-        self.records = ti.field(ti.f32)
+        self.records, self.table, self.pattern = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
         tree = ti.FieldsBuilder()
         tree.dense(ti.i, size).place(self.light)
         tree.dense(ti.ij, (_CHUNKS, self.bands)).place(self.counts)
         tree.dense(ti.i, self.bands + 1).place(self.starts)
         tree.dense(ti.i, 1).place(self.taken)
         tree.dense(ti.i, self.entries * _RECORD).place(self.records)
+        tree.dense(ti.i, _TABLE).place(self.table)
+        tree.dense(ti.i, 8 * _LANES).place(self.pattern)
         tree.finalize()
 
     @ti.func
@@ -241,14 +245,15 @@ class Film:
         Raises `InputError` if the table has another shape or film_max is not above 0.
         """
         values = np.ascontiguousarray(table, dtype=np.float32)
-        if values.ndim != 1 or values.size < 2 or not film_max > 0.0:
-            raise InputError(f"table of shape {values.shape}, film_max = {film_max}: (n >= 2,) and above 0 are needed")
-        pattern = (bayer() if dither else np.zeros((8, 8))).astype(np.float32)
+        if values.ndim != 1 or not 2 <= values.size <= _TABLE or not film_max > 0.0:
+            raise InputError(
+                f"table of shape {values.shape}, film_max = {film_max}: shape (2..{_TABLE},) and above 0 are needed"
+            )
+        pattern = np.repeat(bayer() if dither else np.zeros((8, 8)), 3).astype(np.float32)
         out = np.empty((self.height, self.width, 3), dtype=np.uint8)
-        if self._background is None:
-            self._develop(out, values, values.size, film_max, pattern, self.light, False)
-        else:
-            self._develop(out, values, values.size, film_max, pattern, self._background, True)
+        lit = self._background is not None
+        background = self._background if lit else self.light
+        self._develop(out.reshape(-1), values, values.size, film_max, pattern, background, lit)
         return out
 
     @ti.kernel
@@ -322,23 +327,35 @@ class Film:
     @ti.kernel
     def _develop(
         self,
-        out: ti.types.ndarray(ti.u8, 3),
+        out: ti.types.ndarray(ti.u8, 1),
         table: ti.types.ndarray(ti.f32, 1),
         n: ti.i32,
         film_max: ti.f32,
-        pattern: ti.types.ndarray(ti.f32, 2),
+        pattern: ti.types.ndarray(ti.f32, 1),
         background: ti.template(),
-        has_background: ti.template(),
+        lit: ti.template(),
     ):
-        for y, x in ti.ndrange(self.height, self.width):
-            for c in ti.static(range(3)):
-                i = y * self.stride + (x + splat.PAD) * 3 + c
-                value = ti.cast(self.light[i], ti.f32) * ti.f32(splat.QUANTUM)
-                if ti.static(has_background):
-                    value += background[i]
-                value = ti.min(ti.max(value, ti.f32(0.0)), film_max)
-                s = ti.sqrt(value / film_max) * ti.cast(n - 1, ti.f32)
-                k = ti.min(ti.cast(s, ti.i32), n - 2)
-                code = table[k] + (s - ti.cast(k, ti.f32)) * (table[k + 1] - table[k])
-                level = ti.floor(code + pattern[y % 8, x % 8] + ti.f32(0.5))
-                out[y, x, c] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.u8)
+        # Kept next to the sums, in their SNode tree, see _Bands.
+        for i in range(n):
+            self.bands.table[i] = table[i]
+        for i in range(8 * _LANES):
+            self.bands.pattern[i] = pattern[i]
+        for y in range(self.height):
+            scale = ti.cast(n - 1, ti.f32)
+            per_max = ti.f32(1.0) / film_max
+            for block in range((self.width + 7) // 8):
+                code = ti.Vector([ti.i32(0)] * _LANES)
+                start = (y * self.stride + splat.PAD * 3 + block * _LANES) & splat.NO_WRAP
+                for lane in range(_LANES):
+                    value = ti.cast(self.light[start + lane], ti.f32) * ti.f32(splat.QUANTUM)
+                    if ti.static(lit):
+                        value += background[start + lane]
+                    s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
+                    k = ti.min(ti.cast(s, ti.i32), n - 2)
+                    low, high = self.bands.table[k], self.bands.table[k + 1]
+                    level = low + (s - ti.cast(k, ti.f32)) * (high - low)
+                    level += self.bands.pattern[(y & 7) * _LANES + lane] + ti.f32(0.5)
+                    code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
+                first = (y * self.width + block * 8) * 3
+                for lane in range(ti.min(_LANES, (self.width - block * 8) * 3)):
+                    out[first + lane] = ti.cast(code[lane], ti.u8)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from ..binding import Parameters
 from .appearance import Appearance
 from .film import Dots
 from .look import Look
@@ -31,31 +30,32 @@ class Projector:
 
     def __init__(self, view: Any, appearance: Appearance, look: Look):
         self.view = view
-        self.shader = appearance.prepare(look)
-        self.parameters = Parameters()
-        self.appearance = self.parameters.bind(appearance)
-        self.parameters.allocate()
+        self.shader = view.parameters.bind(appearance.prepare(look))
+        self.appearance = view.parameters.bind(appearance)
         self.fades = appearance.fade_in > 0 or appearance.fade_out > 0
-        # position 0-2, right 3-5, up 6-8, forward 9-11, focal length [px] 12, film centre [px] 13, 14
-        self.camera = ti.field(ti.f32, 15)
-
-    def look_from(self, pose: Any, width: int, height: int) -> None:
-        """Point the camera: `pose` has position, right, up, forward (float64, (3,)) and `focal(height)` [px]."""
-        row = np.concatenate([pose.position, pose.right, pose.up, pose.forward])
-        self.camera.from_numpy(np.array([*row, pose.focal(height), width / 2, height / 2], np.float32))
 
     @ti.kernel
-    def project(self, dots: ti.template(), first: ti.i32, count: ti.i32, t: ti.f64, shutter: ti.f32):
+    def project(
+        self,
+        dots: ti.template(),
+        first: ti.i32,
+        count: ti.i32,
+        t: ti.f64,
+        shutter: ti.f32,
+        camera: ti.types.ndarray(dtype=ti.f32, ndim=1),
+        values: ti.types.ndarray(ndim=1),
+    ):
         """Write particles first..first+count-1 at time `t` [s] into dots 0..count-1; `shutter` [s] before t it opened."""
+        ti.static(self.view.parameters.read_from(values))
         for j in range(count):
             i = first + j
             age = ti.cast(self.view.age(i, t), ti.f32)
             size = ti.cast(self.view.size(i), ti.f32) + self.appearance.growth * age
             x = ti.cast(self.view.position(i), ti.f32)
-            depth, u, v = self.place(x)
+            depth, u, v = self.place(camera, x)
             open_for = ti.min(shutter, ti.max(age, 0.0))
-            depth2, u2, v2 = self.place(x - open_for * ti.cast(self.view.velocity(i), ti.f32))
-            diameter = size * self.camera[12] / depth
+            depth2, u2, v2 = self.place(camera, x - open_for * ti.cast(self.view.velocity(i), ti.f32))
+            diameter = size * camera[12] / depth
             energy = ti.static(math.pi / 4) * diameter * diameter * self.shader.color(self.view.temperature(i, t), age)
             if shutter > 0.0:
                 energy *= open_for / shutter
@@ -68,9 +68,8 @@ class Projector:
             dots.r[j], dots.g[j], dots.b[j] = energy[0], energy[1], energy[2]
 
     @ti.func
-    def place(self, x):
-        """Return (depth [m], u [px], v [px]) of a point; v grows downward."""
-        c = ti.Vector([self.camera[k] for k in ti.static(range(15))])
+    def place(self, c: ti.template(), x):
+        """Return (depth [m], u [px], v [px]) of a point seen by the camera row `c`; v grows downward."""
         d = x - ti.Vector([c[0], c[1], c[2]])
         depth = d.dot(ti.Vector([c[9], c[10], c[11]]))
         scale = c[12] / ti.max(depth, _NEAR)
@@ -91,10 +90,10 @@ class Projector:
         return a * a * (3.0 - 2.0 * a) * b * b * (3.0 - 2.0 * b)
 
     @ti.func
-    def brightest(self, T, size, x):
+    def brightest(self, camera: ti.template(), T, size, x):
         """Return the largest film value in the brightest pixel of a still dot centred on a pixel."""
-        depth, _u, _v = self.place(ti.cast(x, ti.f32))
-        diameter = ti.cast(size, ti.f32) * self.camera[12] / depth
+        depth, _u, _v = self.place(camera, ti.cast(x, ti.f32))
+        diameter = ti.cast(size, ti.f32) * camera[12] / depth
         # peak of the normalised footprint: 1 / sum_i exp(-i^2 / (2 s^2)) on each axis; 1 / (sqrt(2 pi) s) once it is wide
         s = self.sigma(diameter)
         q = ti.exp(-0.5 / (s * s))
@@ -103,9 +102,20 @@ class Projector:
         return self.shader.color(T, 0.0).max() * area / (axis * axis)
 
 
-def draw(projector: Projector, film: Any, dots: Dots, *, count: int, t: float, shutter: float) -> None:
+def camera_row(pose: Any, width: int, height: int) -> np.ndarray:
+    """Return what kernels need of a camera pose, float32 (15,).
+
+    Position 0-2, right 3-5, up 6-8, forward 9-11 (unit vectors), focal length [px] 12, film centre [px] 13 and 14.
+    """
+    axes = np.concatenate([pose.position, pose.right, pose.up, pose.forward])
+    return np.array([*axes, pose.focal(height), width / 2, height / 2], np.float32)
+
+
+def draw(
+    projector: Projector, film: Any, dots: Dots, *, count: int, t: float, shutter: float, camera: np.ndarray
+) -> None:
     """Add `count` particles to the film, as many at a time as the dot buffers hold; integer sums make the split harmless."""
     for first in range(0, count, dots.capacity):
         batch = min(dots.capacity, count - first)
-        projector.project(dots, first, batch, t, shutter)
+        projector.project(dots, first, batch, t, shutter, camera, projector.view.parameters.array)
         film.add(dots, batch)

@@ -34,7 +34,7 @@ PAD = 8  # [px]; at least BLOCK + 1
 _PANEL = 1.75
 _POINT = 0.25
 _NODE = 0.28867513459481287  # 1 / (2 sqrt 3): distance of the two nodes from the middle of a panel of width 1
-_NO_WRAP = (1 << 30) - 1
+NO_WRAP = (1 << 30) - 1
 
 
 @ti.func
@@ -108,7 +108,7 @@ def add_row(film: ti.template(), atomic: ti.template(), base, row, weight):
             film[base + lane] += ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
     else:
         # The mask changes nothing, but it tells LLVM that start + lane cannot wrap: without it no vector instructions.
-        start = base & _NO_WRAP
+        start = base & NO_WRAP
         for lane in range(LANES):
             q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
             film[start + lane] = film[start + lane] + q

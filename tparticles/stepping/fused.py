@@ -67,13 +67,10 @@ class FusedStepper:
         if self.heated:
             self.terms.append(heat(cooling, self.parameters, len(self.state)))
             self.state += columns["T"]
-        self.parameters.values.append(float(size))  # read where size is no attribute
-        self.parameters.allocate()
+        self.size = size
         # first-order particles have no velocity of their own; where one is wanted, it is the slope at the frame's end
         self.probes = system.order == 1 and "v" in columns
         self._load_scheme(scheme)
-        self.counts = ti.field(ti.i64, 1)
-        self.extremes = ti.field(ti.i32, 2)
 
     def _load_scheme(self, scheme: Scheme) -> None:
         self.slopes = scheme.slopes
@@ -83,20 +80,17 @@ class FusedStepper:
             kinds[i], slopes[i], times[i] = op.kind, op.slope, op.time
             weights[i, : len(op.weights)] = op.weights
         kinds[-1] = OpKind.EVALUATE  # one op more, after the last: the probe, k_0 = f(t, z)
-        self.program = ti.field(ti.i32, 1)
-        self.program[0] = len(scheme.ops)
-        self.kinds, self.slope = ti.field(ti.i32, len(kinds)), ti.field(ti.i32, len(kinds))
-        self.times, self.weights = ti.field(float, len(kinds)), ti.field(float, weights.shape)
-        for field, values in ((self.kinds, kinds), (self.slope, slopes), (self.times, times), (self.weights, weights)):
-            field.from_numpy(values)
+        real = self.parameters.array.dtype
+        self.ops = np.stack([kinds, slopes], axis=1)
+        self.coefficients = np.concatenate([times[:, None], weights], axis=1).astype(real)
 
     def advance(self, count: int, t0: float, t1: float, dt: float) -> StepReport:
         """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`."""
         if count == 0:
             return StepReport()
-        self._advance(count, t0, t1, dt)
-        low, high = (float(v) for v in self.extremes.to_numpy().view(np.float32))
-        steps = int(self.counts[0])
+        result = self._advance(count, t0, t1, dt, self.size, self.ops, self.coefficients, self.parameters.array)
+        steps, low, high = (int(v) for v in result)
+        low, high = (float(v) for v in np.array([low, high], np.int32).view(np.float32))
         return StepReport(steps, low, high) if steps else StepReport()
 
     @ti.func
@@ -104,19 +98,31 @@ class FusedStepper:
         return term.evaluate(term.law, p, t, z, u, q)
 
     @ti.kernel
-    def _advance(self, count: ti.i32, t0: ti.f64, t1: ti.f64, dt: float):
-        self.counts[0] = 0
-        self.extremes[0] = _LONG
-        self.extremes[1] = 0
+    def _advance(
+        self,
+        count: ti.i32,
+        t0: ti.f64,
+        t1: ti.f64,
+        dt: float,
+        size: float,
+        ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        coefficients: ti.types.ndarray(ndim=2),
+        values: ti.types.ndarray(ndim=1),
+    ) -> ti.types.vector(3, ti.i64):
+        ti.static(self.parameters.read_from(values))
+        steps, low, high = ti.cast(0, ti.i64), _LONG, 0
         for block in range((count + self.lanes - 1) // self.lanes):
-            # Parameters as locals: a load from a field inside a lane loop might alias a store and stop vectorisation.
-            size = ti.static(self.parameters.field.shape[0])
-            values = ti.Vector([self.parameters.field[i] for i in ti.static(range(size))])
-            ti.static(self.parameters.hoist(values))
-            self._advance_block(block, count, t0, t1, dt, values[size - 1])
+            scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
+            ti.static(self.parameters.hoist(scalars))
+            taken, shortest, longest = self._advance_block(block, count, t0, t1, dt, size, ops, coefficients)
+            ti.atomic_add(steps, ti.cast(taken, ti.i64))
+            if taken > 0:
+                ti.atomic_min(low, ti.bit_cast(ti.cast(shortest, ti.f32), ti.i32))
+                ti.atomic_max(high, ti.bit_cast(ti.cast(longest, ti.f32), ti.i32))
+        return ti.Vector([steps, ti.cast(low, ti.i64), ti.cast(high, ti.i64)])
 
     @ti.func
-    def _advance_block(self, block, count, t0, t1, dt, size):
+    def _advance_block(self, block, count, t0, t1, dt, size, ops: ti.template(), coefficients: ti.template()):
         lanes = ti.static(self.lanes)
         m = ti.static(len(self.state))
         z0 = [ti.Vector([0.0] * lanes) for _ in range(m)]
@@ -143,7 +149,7 @@ class FusedStepper:
         shortest_step, longest_step = ti.cast(ti.math.inf, float), ti.cast(0.0, float)
         probing = ti.cast(ti.static(1 if self.probes else 0), ti.i32)
         while longest > 0.0 or probing > 0:
-            first, last = 0, self.program[0]
+            first, last = 0, ops.shape[0] - 1
             if longest <= 0.0:
                 first, last, probing = last, last + 1, 0
             for lane in range(lanes):
@@ -151,10 +157,10 @@ class FusedStepper:
                 for d in ti.static(range(m)):
                     z[d][lane] = z0[d][lane]
             for op in range(first, last):
-                if self.kinds[op] == _COMBINE:
-                    self._combine(op, z0, z, k, h)
+                if ops[op, 0] == _COMBINE:
+                    self._combine(op, coefficients, z0, z, k, h)
                 else:
-                    self._evaluate(op, z, k, u, h, start, left, age, sizes, ti.cast(t0, float))
+                    self._evaluate(op, ops, coefficients, z, k, u, h, start, left, age, sizes, ti.cast(t0, float))
             longest = 0.0
             for lane in range(lanes):
                 for d in ti.static(range(m)):
@@ -171,20 +177,25 @@ class FusedStepper:
             if ti.static(self.probes):
                 for d in ti.static(range(3)):
                     self.columns["v"][d][i] = k[d][lane]
-        ti.atomic_add(self.counts[0], ti.cast(steps, ti.i64))
-        if steps > 0:
-            ti.atomic_min(self.extremes[0], ti.bit_cast(ti.cast(shortest_step, ti.f32), ti.i32))
-            ti.atomic_max(self.extremes[1], ti.bit_cast(ti.cast(longest_step, ti.f32), ti.i32))
+        return steps, shortest_step, longest_step
 
     @ti.func
-    def _combine(self, op, z0: ti.template(), z: ti.template(), k: ti.template(), h: ti.template()):
+    def _combine(
+        self,
+        op,
+        coefficients: ti.template(),
+        z0: ti.template(),
+        z: ti.template(),
+        k: ti.template(),
+        h: ti.template(),
+    ):
         """z = z0 + dt sum_j w_j k_j."""
         lanes, m = ti.static(self.lanes, len(self.state))
         for lane in range(lanes):
             for d in ti.static(range(m)):
                 z[d][lane] = z0[d][lane]
         for j in range(self.slopes):
-            w = self.weights[op, j]
+            w = coefficients[op, 1 + j]
             if w != 0.0:
                 for lane in range(lanes):
                     for d in ti.static(range(m)):
@@ -194,6 +205,8 @@ class FusedStepper:
     def _evaluate(
         self,
         op,
+        ops: ti.template(),
+        coefficients: ti.template(),
         z: ti.template(),
         k: ti.template(),
         u: ti.template(),
@@ -206,7 +219,7 @@ class FusedStepper:
     ):
         """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term."""
         lanes, m = ti.static(self.lanes, len(self.state))
-        c, slot = self.times[op], self.slope[op] * lanes
+        c, slot = coefficients[op, 0], ops[op, 1] * lanes
         for lane in range(lanes):
             for d in ti.static(range(m)):
                 k[d][slot + lane] = 0.0

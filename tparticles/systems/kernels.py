@@ -25,14 +25,21 @@ class EmitKernel:
         self.has = {name: getattr(emitter, name) is not None for name in ("velocity", "temperature", "lifetime")}
         self.parameters = Parameters()
         self.emitter = self.parameters.bind(emitter, skip=("births", "start", "stop", "preroll"))
-        self.parameters.allocate()
 
     def emit(self, slot: int, births: Births) -> None:
         """Write the newborns into the slots from `slot` on."""
-        self._emit(self.key, slot, births.first, births.times)
+        self._emit(self.key, slot, births.first, births.times, self.parameters.array)
 
     @ti.kernel
-    def _emit(self, key: ti.u32, slot: ti.i32, first: ti.i32, times: ti.types.ndarray(dtype=ti.f64, ndim=1)):
+    def _emit(
+        self,
+        key: ti.u32,
+        slot: ti.i32,
+        first: ti.i32,
+        times: ti.types.ndarray(dtype=ti.f64, ndim=1),
+        values: ti.types.ndarray(ndim=1),
+    ):
+        ti.static(self.parameters.read_from(values))
         for j in range(times.shape[0]):
             i = slot + j
             own = first + j  # the id inside the emitter keys the draws

@@ -37,9 +37,7 @@ class Population:
         schedules: their births, one each (see `schedules`).
     """
 
-    def __init__(
-        self, name: str, emitters: tuple[Emitter, ...], *, columns: Columns, schedules: Sequence[Schedule]
-    ):
+    def __init__(self, name: str, emitters: tuple[Emitter, ...], *, columns: Columns, schedules: Sequence[Schedule]):
         self.name, self.columns = name, columns
         self.born = self.died = self.alive = 0
         self._sources = [

@@ -22,15 +22,17 @@ class Constants:
 
 @ti.data_oriented
 class View:
-    """The attributes of particle `i` as `@ti.func`s; times are absolute, float64 [s]."""
+    """The attributes of particle `i` as `@ti.func`s; times are absolute, float64 [s].
 
-    def __init__(self, columns: Columns, *, cooling: Any, constants: Constants):
+    Kernels that read through a view take its `parameters` (see `Parameters`).
+    """
+
+    def __init__(self, columns: Columns, parameters: Parameters, *, cooling: Any, constants: Constants):
         self.columns = columns
-        self.parameters = Parameters()
+        self.parameters = parameters
         self.constants = self.parameters.bind(constants)
         self.cooling = None if cooling is None else self.parameters.bind(cooling)
         self.closed_form = cooling is not None and not cooling.integrated
-        self.parameters.allocate()
 
     @ti.func
     def position(self, i):
@@ -83,10 +85,11 @@ class View:
         """Return T [K] of the first `count` particles at time `t` [s], shape (count,)."""
         out = np.empty(count, np.float64 if backend.current().precision == "f64" else np.float32)
         if count:
-            self._temperatures(count, t, out)
+            self._temperatures(count, t, out, self.parameters.array)
         return out
 
     @ti.kernel
-    def _temperatures(self, count: ti.i32, t: ti.f64, out: ti.types.ndarray()):
+    def _temperatures(self, count: ti.i32, t: ti.f64, out: ti.types.ndarray(ndim=1), values: ti.types.ndarray(ndim=1)):
+        ti.static(self.parameters.read_from(values))
         for i in range(count):
             out[i] = self.temperature(i, t)
