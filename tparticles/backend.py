@@ -94,8 +94,8 @@ def start(*, arch: str = "auto", threads: int | None = None, precision: str = "f
 
 def _resolve(arch: str, precision: str) -> str:
     if arch == "auto":
-        return next((name for name in ("cuda", "vulkan") if _has_device(name) and not _missing(name, precision)), "cpu")
-    if arch != "cpu" and (reason := _missing(arch, precision)):
+        return next((name for name in ("cuda", "vulkan") if _has_device(name) and not missing(name, precision)), "cpu")
+    if arch != "cpu" and (reason := missing(arch, precision)):
         raise BackendError(f"arch '{arch}' is not available: {reason}; use --arch cpu or --arch auto")
     return arch
 
@@ -109,7 +109,7 @@ def _has_device(arch: str) -> bool:
 
 
 @functools.cache
-def _missing(arch: str, precision: str) -> str:
+def missing(arch: str, precision: str = "f32") -> str:
     """Try the architecture in a subprocess; return what is missing, or an empty string where it works."""
     if arch == "vulkan" and precision == "f64":
         return "Vulkan has no f64 exp, sin or pow"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Sequence
 from fractions import Fraction
@@ -180,10 +179,6 @@ class Scene:
     def resolution(self, quality: Literal["preview", "draft", "final"] = "final") -> tuple[int, int]:
         """Return (width, height) [px]."""
         return self.size or QUALITIES[quality]
-
-    def identity(self) -> str:
-        """Return a hash of everything that decides the pixels of this scene, in hexadecimal."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
 
 def frame_rate(value: Any) -> Fraction:

@@ -48,6 +48,10 @@ class FrameReport:
     dt_max: float = 0.0
     ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
 
+    def row(self) -> dict[str, Any]:
+        """Return the report as a row of run.json."""
+        return dataclasses.asdict(self)
+
     def add_steps(self, report: StepReport) -> None:
         """Count in what a stepper did."""
         if report.steps:

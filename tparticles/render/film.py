@@ -232,7 +232,9 @@ class Film:
             raise InputError("the background holds a value that is not finite")
         if self._background is None:
             self._background = ti.field(ti.f32, shape=self.stride * self.height)
-        self._background.from_numpy(np.pad(pixels.reshape(self.height, -1), ((0, 0), (3 * splat.PAD, 3 * splat.PAD))).ravel())
+        self._background.from_numpy(
+            np.pad(pixels.reshape(self.height, -1), ((0, 0), (3 * splat.PAD, 3 * splat.PAD))).ravel()
+        )
 
     def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (height, width, 3), a new array.

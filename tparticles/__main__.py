@@ -1,0 +1,5 @@
+"""`python -m tparticles`."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,100 @@
+"""What a scene holds and what a machine has, as data and as text."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+from . import __version__, library
+from .errors import TparticlesError
+from .systems.attributes import ATTRIBUTES, bytes_per_particle
+from .systems.population import schedules
+
+
+def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, precision: str) -> dict[str, Any]:
+    """Return parameters, time, groups with attributes, bytes and capacity of a scene; starts no backend.
+
+    Raises:
+        InputError: see `library.load` and `Script.build`.
+    """
+    script = library.load(scene)
+    built = script.build(quality=quality, settings=settings)
+    frame, end = float(1 / built.fps), float(built.frame_count / built.fps)
+    groups = []
+    for group in built.groups:
+        names = group.attributes(streaks=built.shutter > 0)
+        births = schedules(group.name, group.emitters, seed=built.seed, end=end)
+        capacity = group.derived_capacity(births, look=built.look, frame=frame)
+        each = bytes_per_particle(names, precision)
+        groups.append(
+            {
+                "name": group.name,
+                "system": type(group.system).__name__,
+                "emitters": [e.name for e in group.emitters],
+                "births": sum(s.total for s in births),
+                "capacity": capacity,
+                "attributes": {n: ATTRIBUTES[n].bytes(precision) for n in names},
+                "bytes_per_particle": each,
+                "bytes": capacity * each,
+            }
+        )
+    return {
+        "scene": script.name,
+        "summary": script.summary,
+        "parameters": {n: {"type": p.type_name, "default": p.default} for n, p in script.parameters.items()},
+        "frames": built.frame_count,
+        "fps": str(built.fps),
+        "size": list(built.resolution(quality)),
+        "scheme": built.scheme.name,
+        "steps": repr(built.steps),
+        "clamp": built.clamp,
+        "groups": groups,
+    }
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """Return the answer of `describe_scene` for people."""
+    lines = [
+        f"{found['scene']}: {found['summary']}",
+        f"  {found['frames']} frames at {found['fps']} fps, {found['size'][0]}x{found['size'][1]}",
+        f"  scheme {found['scheme']}, steps {found['steps']}, clamp {found['clamp']}",
+        "  parameters (--set name=value):",
+        *(f"    {n} = {p['default']} ({p['type']})" for n, p in found["parameters"].items()),
+    ]
+    for g in found["groups"]:
+        attributes = " ".join(f"{n}:{b}" for n, b in g["attributes"].items())
+        lines += [
+            f"  group {g['name']}: {g['system']}, emitters {', '.join(g['emitters'])}",
+            f"    {g['births']} births, at most {g['capacity']} alive",
+            f"    {g['bytes_per_particle']} bytes per particle ({attributes}), {g['bytes'] / 2**20:.2f} MiB",
+        ]
+    return "\n".join(lines)
+
+
+def examine() -> dict[str, str]:
+    """Return what matters of this machine, a line each."""
+    from . import backend
+    from .output.ffmpeg import find_ffmpeg
+
+    def attempt(action: Any) -> str:
+        try:
+            return str(action())
+        except TparticlesError as error:
+            return f"missing: {error}"
+
+    found = {
+        "tparticles": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("taichi", "numpy", "pillow", "imageio-ffmpeg")},
+        "cores": str(os.cpu_count()),
+        "cpu": "ok",
+        **{arch: backend.missing(arch) or "ok" for arch in ("cuda", "vulkan")},
+        "ffmpeg": attempt(find_ffmpeg),
+        "kernel cache": attempt(backend.cache_folder),
+    }
+    disk = shutil.disk_usage(".")
+    return found | {"disk free": f"{disk.free / 2**30:.1f} GiB of {disk.total / 2**30:.1f} GiB here"}

@@ -1,0 +1,171 @@
+"""Where the film looks from: a pin-hole camera, still or key-framed, and the pose that projects the world onto pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass as plain_dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
+
+from tparticles.errors import InputError
+
+Array = NDArray[np.float64]
+Vec3 = tuple[float, float, float]
+
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+# Nearer than this [m] has no direction; sine of the smallest angle that `up` may make with the view.
+_NEAR = 1e-9
+_PARALLEL = 1e-6
+
+
+@dataclass(frozen=True, config=_CONFIG)
+class Track:
+    """A value that changes in time: `keys` are (time [s], value) pairs, each value a number or each a vector of 3.
+
+    Between two keys the value goes straight, or, with `smooth`, along a cubic that starts and ends at rest and passes
+    the keys between without a jump in speed; it never leaves the range of the two keys around it (slopes: harmonic
+    means, Fritsch & Butland 1984, "A method for constructing local monotone piecewise cubic interpolants", equation 5).
+    Before the first key and after the last the value is held.
+
+    Raises `InputError` without a key, if times do not increase, or if numbers and vectors are mixed; pydantic's
+    `ValidationError` for a wrong type or a value that is not finite.
+    """
+
+    keys: tuple[tuple[float, float | Vec3], ...]
+    smooth: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.keys:
+            raise InputError("a Track needs at least one key, (time, value)")
+        for (before, _), (after, _) in zip(self.keys, self.keys[1:], strict=False):
+            if not before < after:
+                raise InputError(f"Track key times must increase: {after:g} s comes after {before:g} s")
+        if len({isinstance(value, tuple) for _, value in self.keys}) > 1:
+            raise InputError("a Track mixes numbers and vectors: its values must be all of one kind")
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether the values are vectors of 3."""
+        return isinstance(self.keys[0][1], tuple)
+
+    def at(self, t: float) -> Array:
+        """Return the value at time `t` [s], shape () or (3,)."""
+        times = np.array([time for time, _ in self.keys])
+        values = np.array([value for _, value in self.keys], dtype=np.float64)
+        if t <= times[0] or t >= times[-1]:
+            return values[0 if t <= times[0] else -1]
+        i = int(np.searchsorted(times, t, side="right")) - 1
+        h = times[i + 1] - times[i]
+        s = (t - times[i]) / h
+        if not self.smooth:
+            return (1.0 - s) * values[i] + s * values[i + 1]
+        m0, m1 = _slope(times, values, i), _slope(times, values, i + 1)
+        # Cubic Hermite: (1 + 2 s)(1 - s)^2 v0 + s (1 - s)^2 h m0 + s^2 (3 - 2 s) v1 - s^2 (1 - s) h m1
+        rest = 1.0 - s
+        return (
+            (1.0 + 2.0 * s) * rest**2 * values[i]
+            + s * rest**2 * h * m0
+            + s**2 * (3.0 - 2.0 * s) * values[i + 1]
+            - s**2 * rest * h * m1
+        )
+
+
+def _slope(times: Array, values: Array, i: int) -> Array:
+    """Return the slope at key i: 0 at the ends and where a component turns, else the weighted harmonic mean."""
+    if i in (0, len(times) - 1):
+        return np.zeros_like(values[i])
+    h0, h1 = times[i] - times[i - 1], times[i + 1] - times[i]
+    d0, d1 = (values[i] - values[i - 1]) / h0, (values[i + 1] - values[i]) / h1
+    # a = (h0 + 2 h1) / (3 (h0 + h1)), slope = d0 d1 / (a d1 + (1 - a) d0)
+    a = (h0 + 2.0 * h1) / (3.0 * (h0 + h1))
+    same = d0 * d1 > 0.0
+    return np.where(same, d0 * d1 / np.where(same, a * d1 + (1.0 - a) * d0, 1.0), 0.0)
+
+
+@plain_dataclass(frozen=True, eq=False)
+class Pose:
+    """The camera at one time. `right`, `up`, `forward`: unit vectors, shape (3,); right x up = -forward.
+
+    `position` [m], shape (3,); `tan_half` is the tangent of half the vertical field of view.
+    """
+
+    position: Array
+    right: Array
+    up: Array
+    forward: Array
+    tan_half: float
+
+    def focal(self, height: float) -> float:
+        """Return the distance from the pin-hole to a film of `height` pixels [px]."""
+        return 0.5 * height / self.tan_half
+
+    def project(self, points: ArrayLike, width: int, height: int) -> tuple[Array, Array, Array]:
+        """Return `(u, v, depth)` of points [m], shape (..., 3); each result has shape (...).
+
+        `u, v` [px]: (0, 0) is the top left corner of the film, pixel centres are at +0.5, v grows downward. `depth` [m]
+        is along `forward`; u and v are NaN where it is not above 0.
+        """
+        offset = np.asarray(points, dtype=np.float64) - self.position
+        depth = offset @ self.forward
+        # u = width / 2 + focal x / depth, v = height / 2 - focal y / depth
+        scale = self.focal(height) / np.where(depth > 0.0, depth, np.nan)
+        return 0.5 * width + scale * (offset @ self.right), 0.5 * height - scale * (offset @ self.up), depth
+
+
+@dataclass(frozen=True, config=_CONFIG)
+class Camera:
+    """A pin-hole at `position` [m] that looks at `target` [m] with `up` pointing upward on the film.
+
+    `fov` is the vertical field of view [degrees], above 0 and below 180. Each may be a `Track`.
+
+    Raises `InputError` for a still camera that looks at itself or along `up`, for a field of view out of range and for
+    a Track of the wrong kind; pydantic's `ValidationError` for a wrong type or a value that is not finite.
+    """
+
+    position: Vec3 | Track
+    target: Vec3 | Track
+    up: Vec3 | Track = (0.0, 0.0, 1.0)
+    fov: float | Track = 40.0
+
+    def __post_init__(self) -> None:
+        for name in ("position", "target", "up", "fov"):
+            value = getattr(self, name)
+            if isinstance(value, Track) and value.is_vector != (name != "fov"):
+                raise InputError(f"camera {name}: a Track of {'numbers' if name == 'fov' else 'vectors'} is needed")
+        for fov in [value for _, value in self.fov.keys] if isinstance(self.fov, Track) else [self.fov]:
+            if not (isinstance(fov, float) and 0.0 < fov < 180.0):
+                raise InputError(f"camera fov = {fov} degrees is not allowed (above 0 and below 180)")
+        if not self.moves:
+            self.pose(0.0)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything of the camera changes in time."""
+        return any(isinstance(value, Track) for value in (self.position, self.target, self.up, self.fov))
+
+    def pose(self, t: float) -> Pose:
+        """Return the pose at time `t` [s]. Raises `InputError` if the camera has no direction or no upright then."""
+        when = f" at t = {t:g} s" if self.moves else ""
+        position, target, up = _at(self.position, t), _at(self.target, t), _at(self.up, t)
+        distance = float(np.linalg.norm(target - position))
+        if distance < _NEAR:
+            raise InputError(f"the camera looks at itself{when}: position and target are both {_show(position)}")
+        forward = (target - position) / distance
+        side = np.cross(forward, up)
+        sine = float(np.linalg.norm(side))
+        if sine <= _PARALLEL * float(np.linalg.norm(up)):
+            raise InputError(f"camera up = {_show(up)} is parallel to the view direction {_show(forward)}{when}")
+        right = side / sine
+        tan_half = math.tan(0.5 * math.radians(float(_at(self.fov, t))))
+        return Pose(position, right, np.cross(right, forward), forward, tan_half)
+
+
+def _at(value: float | Vec3 | Track, t: float) -> Array:
+    return value.at(t) if isinstance(value, Track) else np.asarray(value, dtype=np.float64)
+
+
+def _show(vector: Array) -> str:
+    return f"({', '.join(f'{x:g}' for x in vector)})"
