@@ -125,10 +125,10 @@ def test_saturated_colours_come_back(tmp_path: Path, film_at) -> None:
 @pytest.mark.parametrize("name", ["a b.mp4", "100%d.mp4", "-y.mp4", "pipe:1.mp4", "火.mp4", "'q'.mp4", "noend"])
 def test_odd_names_are_only_names(tmp_path: Path, make_frame, monkeypatch, name: str, film_at) -> None:
     monkeypatch.chdir(tmp_path)
-    film = film_at(Path("new folder") / name)
+    film = film_at(Path("pipe:new folder") / name)
     film.write(make_frame(1))
     film.close()
-    assert [path.name for path in (tmp_path / "new folder").iterdir()] == [name]
+    assert [path.name for path in (tmp_path / "pipe:new folder").iterdir()] == [name]
 
 
 @pytest.mark.parametrize(

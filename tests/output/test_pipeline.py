@@ -212,6 +212,43 @@ def test_a_failure_wakes_up_a_submit_that_waits_for_room(make_frame) -> None:
     assert broken.ends == ["abort"]
 
 
+def test_a_failure_drops_what_is_queued_and_the_first_error_counts(make_frame) -> None:
+    first, second = threading.Event(), threading.Event()
+    broken = Recorder(ordered=True, fails_at=1, gate=first)
+    later = Recorder(ordered=True, fails_at=1, gate=second)
+    idle = Recorder(ordered=True, gate=second)
+    output = Pipeline([broken, later, idle])
+    for number in (1, 2, 3):
+        output.submit(make_frame(number))
+    until(lambda: broken.begun == later.begun == idle.begun == [1])
+    first.set()
+    with pytest.raises(RunError) as error:
+        output.drain()
+    second.set()
+    with pytest.raises(RunError) as last:
+        output.close()
+    assert last.value is error.value
+    assert idle.written == [1], "frames 2 and 3 are dropped"
+
+
+def test_an_abort_that_had_to_wake_a_writer_up_waits_for_its_end(make_frame, monkeypatch) -> None:
+    class Stuck(Recorder):
+        def write(self, frame: OutputFrame) -> None:
+            super().write(frame)
+            time.sleep(0.2)
+
+        def abort(self) -> None:
+            assert self.gate is not None
+            self.gate.set()
+
+    monkeypatch.setattr(pipeline, "_PATIENCE", 0.05)
+    output = Pipeline([Stuck(gate=threading.Event())])
+    output.submit(make_frame(1))
+    until(lambda: threading.active_count() > 1)
+    output.abort()
+    assert not [thread for thread in threading.enumerate() if thread.name == "output"]
+
+
 @pytest.mark.parametrize("end", ["close", "drain"])
 def test_a_failure_of_the_last_frame_is_raised_at_the_end(make_frame, end: str) -> None:
     broken, other = Recorder(fails_at=3), Recorder(ordered=True)

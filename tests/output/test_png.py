@@ -192,14 +192,16 @@ writer.write(OutputFrame(2, image))
 
 def test_a_kill_before_the_rename_leaves_no_half_frame_and_the_next_run_cleans_up(tmp_path: Path, run_python) -> None:
     assert run_python(_KILLED, tmp_path).returncode == -9
-    (tmp_path / ".mine.tmp").touch()
-    (left,) = set(tmp_path.glob(".*.tmp")) - {tmp_path / ".mine.tmp"}
+    others = {tmp_path / ".mine.tmp", tmp_path / ".run.json.0123abcd.tmp"}
+    for path in others:
+        path.touch()
+    (left,) = set(tmp_path.glob(".*.tmp")) - others
     assert left.name.startswith(".000002.png.")
     assert [path.name for path in tmp_path.glob("*.png")] == ["000001.png"]
     PngSequence(tmp_path)
-    assert not left.exists()
-    assert (tmp_path / ".mine.tmp").exists(), "only our own leftovers may go"
-    (tmp_path / ".mine.tmp").unlink()
+    assert set(tmp_path.glob(".*.tmp")) == others, "only frames that this writer left may go"
+    for path in others:
+        path.unlink()
 
 
 _FULL = """

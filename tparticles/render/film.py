@@ -6,7 +6,7 @@ so a frame has the same bits for any number of threads, any chunking of the dots
 On a CPU the rows are cut into bands. A counting sort lists every dot in each band that it touches, then each band is
 drawn by one thread, without atomics. On a GPU every dot is one thread that adds atomically. Same arithmetic, same sums.
 """
-# pyright: reportIndexIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false, reportInvalidTypeForm=false
+# pyright: reportIndexIssue=false, reportInvalidTypeForm=false, reportArgumentType=false
 
 from typing import Any
 
@@ -208,7 +208,7 @@ class Film:
 
     def linear(self) -> NDArray[np.float64]:
         """Return the film relative to film white, shape (height, width, 3)."""
-        return self.sums() * splat.QUANTUM
+        return self.sums().astype(np.float64) * np.float64(splat.QUANTUM)
 
     def merge(self, sums: NDArray[np.int64]) -> None:
         """Add the `sums()` of another film. Raises `InputError` if shape or type differ."""

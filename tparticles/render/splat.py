@@ -16,7 +16,7 @@ alike, and a streak of length zero is the dot itself. tests/render/test_film.py 
 The functions here run on a CPU and on a GPU. With `atomic` false the caller owns the rows and nothing else writes them.
 Rows of the film are padded by `PAD` pixels on both sides, so that a block of pixels never has to be clipped in x.
 """
-# pyright: reportIndexIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportInvalidTypeForm=false
 
 import taichi as ti
 
