@@ -30,26 +30,26 @@ def scene(
         emitters=tp.Emitter(
             births=tp.PerFrame(mean=rate, variance=0.5),
             shape=tp.Disc(center=(0.0, 0.0, 0.12), radius=0.3),
-            temperature=tp.Spread(mean=1280.0, variance=110.0),
-            size=tp.Spread(mean=0.0024, variance=0.001),
+            temperature=tp.Spread(mean=1380.0, variance=150.0),
+            size=tp.Spread(mean=0.003, variance=0.0012),
             preroll=4.0,
         ),
-        cooling=tp.Exponential(time=3.6, ambient=293.0),
+        cooling=tp.Exponential(time=3.0, ambient=293.0),
         region=tp.Box(low=(-6.0, -4.0, -0.5), high=(6.0, 6.0, 8.0)),
     )
     flames = tp.Group(
         name="flames",
         system=tp.Advected(flow=smoke),
         emitters=tp.Emitter(
-            births=tp.Rate(rate=700.0),
+            births=tp.Rate(rate=1100.0),
             shape=tp.Disc(center=(0.0, 0.0, 0.05), radius=0.26),
-            temperature=tp.Spread(mean=1560.0, variance=90.0),
-            size=tp.Spread(mean=0.14, variance=0.06),
-            lifetime=tp.Spread(mean=0.55, variance=0.25),
+            temperature=tp.Spread(mean=1540.0, variance=110.0),
+            size=tp.Spread(mean=0.1, variance=0.05),
+            lifetime=tp.Spread(mean=0.48, variance=0.24),
             preroll=1.0,
         ),
         cooling=tp.Exponential(time=1.1, ambient=293.0),
-        appearance=tp.Glow(emissivity=0.002, fade_in=0.2, fade_out=0.5),
+        appearance=tp.Glow(emissivity=0.0016, fade_in=0.2, fade_out=0.5),
     )
     embers = tp.Group(
         name="embers",
@@ -66,7 +66,7 @@ def scene(
     )
     return tp.Scene(
         groups=(embers, flames, sparks),
-        camera=tp.Camera(position=(0.0, -7.5, 1.5), target=(0.15, 0.0, 1.85), fov=34.0),
+        camera=tp.Camera(position=(0.0, -5.6, 1.25), target=(0.12, 0.0, 1.42), fov=32.0),
         look=tp.Look(ev=4.0, tone="filmic"),
         background=tp.Gradient(top=(0.012, 0.016, 0.030), bottom=(0.045, 0.034, 0.034)),
         duration=10.0,

@@ -11,6 +11,8 @@ import zlib
 import numpy as np
 import taichi as ti
 
+from .errors import InputError
+
 _GOLDEN = 0x9E3779B9  # separates draws: 2^32 / golden ratio
 
 
@@ -34,6 +36,8 @@ def mix(h):
 
 def stream_key(seed: int, name: str) -> int:
     """Return the 32-bit key of the stream `name` (an emitter, a noise) under `seed` (any non-negative integer)."""
+    if seed < 0:
+        raise InputError(f"seed = {seed}: must not be negative")
     key = np.uint32(zlib.crc32(name.encode()))
     while True:  # fold the seed in, 32 bits at a time
         with np.errstate(over="ignore"):

@@ -5,6 +5,7 @@ A spec is a pydantic dataclass whose errors are one line of ours: what is wrong,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
@@ -16,9 +17,19 @@ from .errors import InputError, nearest
 Class = TypeVar("Class", bound=type)
 _CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+def _number(value: Any) -> Any:
+    # pydantic would read "2" as 2 and True as 1; in a scene both are slips
+    if isinstance(value, str | bytes | bool):
+        raise ValueError("should be a number")
+    return value
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(_number)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), BeforeValidator(_number)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), BeforeValidator(_number)]
+Count = Annotated[int, Field(ge=1, le=2**31), BeforeValidator(_number)]
+Seed = Annotated[int, Field(ge=0), BeforeValidator(_number)]
 Vec3 = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(lambda v: tuple(v) if isinstance(v, Sequence) else v)]
 
 
@@ -47,19 +58,50 @@ def _fields(cls: type) -> list[str]:
 def explain(error: ValidationError, owner: str, names: Sequence[str] = ()) -> str:
     """Say in one line what pydantic found: owner, parameter, value, what is allowed, nearest right name."""
     found = error.errors(include_url=False)
-    first = found[0]
-    path = [str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()]
-    where = f"{owner}.{'.'.join(path)}" if path else owner
+    # of the members of a union, the one whose error lies deepest is the one that was meant
+    same = [e for e in found if e["loc"][:1] == found[0]["loc"][:1]]
+    first = max(same, key=lambda e: len(e["loc"]))
+    others = len({e["loc"][:1] for e in found}) - 1
+    path = _path(first["loc"])
+    where = f"{owner}.{path}" if path else owner
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        text = f"{owner} has no parameter '{path[-1]}'{nearest(path[-1], names)} (known: {', '.join(names)})"
+        text = f"{owner} has no parameter '{path}'{nearest(path, names)} (known: {', '.join(names)})"
     elif first["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         text = f"{where} is missing"
+    elif first["type"] == "dataclass_type":
+        kinds = dict.fromkeys(e["ctx"]["class_name"] for e in same if e["type"] == "dataclass_type")
+        text = f"{where} = {_short(first['input'])}: should be a {' or a '.join(kinds)}"
     else:
         reason = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
         text = f"{where} = {_short(first['input'])}: {reason}"
-    return text + (f" (and {len(found) - 1} more)" if len(found) > 1 else "")
+    return text + (f" (and {others} more)" if others else "")
+
+
+def _path(location: Sequence[int | str]) -> str:
+    """Print where an error lies as it would be written, `keys[0][1]`; the names of a union's members are left out."""
+    text = str(location[0]) if location else ""
+    for part in location[1:]:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif part.isidentifier() and not part[0].isupper():
+            text += f".{part}"
+    return text
 
 
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def unit(name: str, value: Vec3) -> Vec3:
+    """Return a direction at unit length.
+
+    Raises:
+        InputError: it is zero; `name` says which.
+    """
+    largest = max(map(abs, value))  # scaled first: squares of huge or tiny numbers leave the range
+    if largest == 0.0:
+        raise InputError(f"{name} = {value}: a direction must not be zero")
+    scaled = tuple(v / largest for v in value)
+    length = math.hypot(*scaled)
+    return scaled[0] / length, scaled[1] / length, scaled[2] / length

@@ -242,9 +242,10 @@ def test_an_abort_that_had_to_wake_a_writer_up_waits_for_its_end(make_frame, mon
             self.gate.set()
 
     monkeypatch.setattr(pipeline, "_PATIENCE", 0.05)
-    output = Pipeline([Stuck(gate=threading.Event())])
+    stuck = Stuck(gate=threading.Event())
+    output = Pipeline([stuck])
     output.submit(make_frame(1))
-    until(lambda: threading.active_count() > 1)
+    until(lambda: stuck.begun == [1])
     output.abort()
     assert not [thread for thread in threading.enumerate() if thread.name == "output"]
 

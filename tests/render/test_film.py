@@ -57,7 +57,7 @@ def exact(u: float, v: float, sigma: float, du: float = 0.0, dv: float = 0.0, *,
     return weights(v + s * dv, sigma, HEIGHT).T @ weights(u + s * du, sigma, WIDTH) / len(s)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 0.5, 2 / 3, 0.7, 1.0, 1.9, 3.0, 8.0])
+@pytest.mark.parametrize("sigma", [0.3, 0.5, 0.66, 0.7, 1.0, 1.9, 3.0, 8.0])
 def test_dot_matches_float64(film: Film, dots: Dots, sigma: float) -> None:
     rng = np.random.default_rng(0)
     for _ in range(8):
@@ -136,7 +136,7 @@ def test_partly_visible_dots_match_a_larger_film(film: Film, dots: Dots) -> None
 def test_invisible_and_broken_dots_draw_nothing(film: Film, dots: Dots) -> None:
     bad = [np.nan, np.inf, -np.inf, 3e38]
     good = {"u": 40.0, "v": 40.0, "sigma": 1.0, "du": 0.0, "dv": 0.0, "r": 1.0}
-    rows = [{**good, name: value} for name in good for value in bad if not (value == 3e38 and name in ("sigma", "r"))]
+    rows = [{**good, name: value} for name in good for value in bad[: 3 if name in ("sigma", "r") else 4]]
     rows += [{**good, "sigma": 0.0}, {**good, "sigma": -1.0}]
     rows += [{**good, "u": x} for x in (-4.0, WIDTH + 4.0, -1e6, 1e7)]
     rows += [{**good, "v": y} for y in (-4.0, HEIGHT + 4.0, -1e6, 1e7)]

@@ -5,8 +5,10 @@ kept; `Char` is a differential equation, so a system carries T in its state and 
 """
 
 import math
+from typing import Annotated
 
 import taichi as ti
+from pydantic import Field
 
 from ..spec import NonNegative, Positive, spec
 from .law import Bound
@@ -84,7 +86,7 @@ class Char:
     density: Positive = 300.0
     heat_capacity: Positive = 1000.0
     heat: NonNegative = 9.2e6
-    ash: Positive = 0.3
+    ash: Annotated[Positive, Field(lt=1)] = 0.3
     conductivity: Positive = 0.067
     viscosity: Positive = 1.2e-4
     gas_heat_capacity: Positive = 1140.0

@@ -1,9 +1,11 @@
 """Curl noise: a turbulent flow that is divergence-free by construction.
 
 u = curl psi of a vector potential made of gradient noise (Bridson, Hourihan, Nordenstam, "Curl-noise for procedural fluid
-flow", SIGGRAPH 2007). Each lattice corner hashes to one gradient (a0, a1, a2), of which the three components of
-the potential use cyclic permutations; derivatives are analytic. A distance ramp and the amplitude go inside the potential,
-so that the flow stays divergence-free where they vary.
+flow", SIGGRAPH 2007). Each lattice corner hashes to one vector a and adds w(r) a x r to the potential, r from the corner, w
+its quintic fade: locally the potential of a uniform flow, so that a lattice point moves with 2 a and the components of
+the velocity are uncorrelated. (Three gradients that permute one vector are no cheaper; if they are symmetric, every lattice
+point is at rest.) Derivatives are analytic. A distance ramp and the amplitude go inside the potential, so that the flow stays
+divergence-free where they vary.
 """
 
 from typing import Annotated
@@ -13,7 +15,7 @@ import taichi as ti
 from pydantic import Field
 
 from ..rng import stream_key
-from ..spec import Finite, NonNegative, Positive, Vec3, spec
+from ..spec import Count, Finite, NonNegative, Positive, Seed, Vec3, spec
 from .law import Bound, Flow
 
 # Root mean square of |curl psi| for unit amplitude and length, measured over 10^6 points (tests/physics/test_noise.py).
@@ -32,12 +34,14 @@ def _corner_hash(i, j, k, seed):
 
 
 @ti.func
-def _swing(h, phase):
-    """Map ten hash bits and a phase to (-1, 1): a parabola wave, so a gradient turns smoothly with time.
+def _centred(h):
+    """Map ten hash bits to the centres of 1024 equal cells of (-1, 1)."""
+    return ti.cast(h & 1023, ti.i32) * (1 / 512) - ti.static(1 - 1 / 1024)
 
-    s in [-1, 1): w = 4 s (1 - |s|), the C1 stand-in for sin(pi s).
-    """
-    s = ti.cast(h & 1023, ti.i32) * (1 / 512) - 1.0 + phase
+
+@ti.func
+def _swing(s):
+    """Return a wave of period 2 with values in [-1, 1]: 4 s (1 - |s|) for s in [-1, 1), the C1 stand-in for sin(pi s)."""
     s -= 2.0 * ti.floor(0.5 * s + 0.5)
     return 4.0 * s * (1.0 - ti.abs(s))
 
@@ -54,37 +58,31 @@ def potential(p, seed, phase, turning: ti.template(), with_value: ti.template())
     # quintic fade: u = r^3 (6 r^2 - 15 r + 10), C2 across cells
     u = r * r * r * (r * (r * 6.0 - 15.0) + 10.0)
     du = 30.0 * r * r * (r * (r - 2.0) + 1.0)
-    xy = xz = yx = yz = zx = zy = 0.0
+    ux = uy = uz = 0.0
     px = py = pz = 0.0
     for corner in ti.static(range(8)):
         ox, oy, oz = ti.static(corner & 1, (corner >> 1) & 1, corner >> 2)
         h = _corner_hash(c[0] + ox, c[1] + oy, c[2] + oz, seed)
-        a0 = a1 = a2 = 0.0
+        a0, a1, a2 = _centred(h), _centred(h >> 10), _centred(h >> 20)
         if ti.static(turning):
-            a0, a1, a2 = _swing(h, phase), _swing(h >> 10, phase), _swing(h >> 20, phase)
-        else:
-            a0 = ti.cast(h & 1023, ti.i32) * (1 / 512) - 1.0
-            a1 = ti.cast((h >> 10) & 1023, ti.i32) * (1 / 512) - 1.0
-            a2 = ti.cast((h >> 20) & 1023, ti.i32) * (1 / 512) - 1.0
+            a0, a1, a2 = _swing(a0 + phase), _swing(a1 + phase), _swing(a2 + phase)
         dx, dy, dz = r[0] - ox, r[1] - oy, r[2] - oz
         wx = ox * u[0] + (1 - ox) * (1 - u[0])
         wy = oy * u[1] + (1 - oy) * (1 - u[1])
         wz = oz * u[2] + (1 - oz) * (1 - u[2])
         gx, gy, gz = (2 * ox - 1) * du[0] * wy * wz, wx * (2 * oy - 1) * du[1] * wz, wx * wy * (2 * oz - 1) * du[2]
         w = wx * wy * wz
-        # the corner's three linear ramps: a cyclic permutation of one gradient for each component of psi
-        nx, ny, nz = a0 * dx + a1 * dy + a2 * dz, a1 * dx + a2 * dy + a0 * dz, a2 * dx + a0 * dy + a1 * dz
-        xy += gy * nx + w * a1
-        xz += gz * nx + w * a2
-        yx += gx * ny + w * a1
-        yz += gz * ny + w * a0
-        zx += gx * nz + w * a2
-        zy += gy * nz + w * a0
+        # n = a x r; curl(w n) = grad w x n + 2 w a
+        nx, ny, nz = a1 * dz - a2 * dy, a2 * dx - a0 * dz, a0 * dy - a1 * dx
+        w2 = 2.0 * w
+        ux += gy * nz - gz * ny + w2 * a0
+        uy += gz * nx - gx * nz + w2 * a1
+        uz += gx * ny - gy * nx + w2 * a2
         if ti.static(with_value):
             px += w * nx
             py += w * ny
             pz += w * nz
-    return ti.Vector([px, py, pz]), ti.Vector([zy - yz, xz - zx, yx - xy])
+    return ti.Vector([px, py, pz]), ti.Vector([ux, uy, uz])
 
 
 @spec
@@ -99,14 +97,14 @@ class CurlNoise(Flow):
 
     speed: NonNegative = 1.0
     length: Positive = 1.0
-    octaves: Annotated[int, Field(ge=1, le=16)] = 1
-    lacunarity: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 2.0
+    octaves: Annotated[Count, Field(le=16)] = 1
+    lacunarity: Annotated[Positive, Field(ge=1)] = 2.0
     gain: NonNegative = 0.5
     drift: Vec3 = (0.0, 0.0, 0.0)
     period: NonNegative = 0.0
     ramp: NonNegative = 0.0
     ground: Finite = 0.0
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
 
     @property
     def passes(self) -> int:

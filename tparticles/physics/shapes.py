@@ -1,28 +1,26 @@
 """Where particles are born and where they may live: points, lines, discs, spheres, boxes; and cones of velocity."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import taichi as ti
 from pydantic import Field
 
 from ..errors import InputError
 from ..rng import device_uniform
-from ..spec import Positive, Vec3, spec
+from ..spec import NonNegative, Positive, Vec3, spec, unit
 from .spread import Spread, SpreadLike
 
 _TURN = 2 * math.pi
 
 
 @ti.func
-def _orthonormal(axis):
-    """Return the axis at unit length and two directions across it (Duff et al., JCGT 6, 2017)."""
-    n = axis.normalized()
+def _across(n):
+    """Return two directions across the unit vector `n` (Duff et al., JCGT 6, 2017)."""
     sign = ti.select(n[2] >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + n[2])
     b = n[0] * n[1] * a
     return (
-        n,
         ti.Vector([1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]]),
         ti.Vector([b, sign + n[1] * n[1] * a, -n[1]]),
     )
@@ -62,12 +60,16 @@ class Disc:
     normal: Vec3 = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _direction("Disc.normal", self.normal)
+        unit("Disc.normal", self.normal)
+
+    def derived(self) -> dict[str, Vec3]:
+        """Return the normal at unit length."""
+        return {"normal": unit("Disc.normal", self.normal)}
 
     @ti.func
     def sample(self, key, particle, draw):
         """Return a point [m]."""
-        _, across, along = _orthonormal(self.normal)
+        across, along = _across(self.normal)
         r = self.radius * ti.sqrt(device_uniform(key, particle, draw))
         angle = _TURN * device_uniform(key, particle, draw + 1)
         return self.center + r * (ti.cos(angle) * across + ti.sin(angle) * along)
@@ -126,30 +128,26 @@ class Cone:
     """Reeves' ejection cone: directions uniform in the solid angle within `angle` [degrees] of `axis`, `speed` [m/s]."""
 
     axis: Vec3 = (0.0, 0.0, 1.0)
-    angle: Annotated[float, Field(ge=0, le=180)] = 0.0
+    angle: Annotated[NonNegative, Field(le=180)] = 0.0
     speed: SpreadLike = Spread(mean=0.0)
 
     def __post_init__(self) -> None:
-        _direction("Cone.axis", self.axis)
+        unit("Cone.axis", self.axis)
 
-    def derived(self) -> dict[str, float]:
-        """Return the cosine of the half angle."""
-        return {"cosine": math.cos(math.radians(self.angle))}
+    def derived(self) -> dict[str, Any]:
+        """Return the axis at unit length and the height of the cap, 1 - cos(angle) without cancellation."""
+        return {"axis": unit("Cone.axis", self.axis), "cap": 2.0 * math.sin(math.radians(self.angle) / 2) ** 2}
 
     @ti.func
     def sample(self, key, particle, draw):
         """Return a velocity [m/s]; takes four draws."""
-        n, across, along = _orthonormal(self.axis)
-        c = 1.0 - (1.0 - self.cosine) * device_uniform(key, particle, draw)
-        s = ti.sqrt(ti.max(0.0, 1.0 - c * c))
+        across, along = _across(self.axis)
+        # h = 1 - cos(polar angle) is uniform over the cap; its sine is sqrt(h (2 - h)), exact for narrow cones too
+        h = self.cap * device_uniform(key, particle, draw)
+        s = ti.sqrt(ti.max(0.0, h * (2.0 - h)))
         angle = _TURN * device_uniform(key, particle, draw + 1)
-        direction = c * n + s * (ti.cos(angle) * across + ti.sin(angle) * along)
+        direction = (1.0 - h) * self.axis + s * (ti.cos(angle) * across + ti.sin(angle) * along)
         return self.speed.sample(key, particle, draw + 2) * direction
-
-
-def _direction(name: str, value: Vec3) -> None:
-    if not any(value):
-        raise InputError(f"{name} = {value}: a direction must not be zero")
 
 
 Shape = Point | Line | Disc | Sphere | Box

@@ -27,7 +27,6 @@ _RECORD = 8  # f32 in a listed dot
 _TABLE = 1 << 13  # most entries of a display table
 _LANES = 24  # values developed together: 8 pixels, one row of the dither matrix
 _GRAIN = 512  # Taichi gives one CPU thread at least this many iterations: so many make one coarse task
-_INFINITE = 2.0**127
 _NAMES = ("u", "v", "du", "dv", "sigma", "r", "g", "b")
 
 
@@ -94,11 +93,9 @@ class Dots:
         """Return the film rows first..last that dot i may touch; first > last if it draws nothing."""
         first, last = 0, -1
         u, v, du, dv, sigma = self.u[i], self.v[i], self.du[i], self.dv[i], self.sigma[i]
-        near = splat.below(u, splat.REACH) and splat.below(v, splat.REACH)
-        near = near and splat.below(du, splat.REACH) and splat.below(dv, splat.REACH)
-        finite = splat.below(sigma, _INFINITE) and splat.below(self.r[i], _INFINITE)
-        finite = finite and splat.below(self.g[i], _INFINITE) and splat.below(self.b[i], _INFINITE)
-        if near and finite and sigma > 0.0:
+        near = splat.reachable(u) and splat.reachable(v) and splat.reachable(du) and splat.reachable(dv)
+        energy = splat.finite(self.r[i]) and splat.finite(self.g[i]) and splat.finite(self.b[i])
+        if near and energy and splat.finite(sigma) and sigma > 0.0:
             R = splat.radius(splat.limited(sigma))
             u2, v2 = u + du, v + dv
             left, right = ti.cast(ti.floor(ti.min(u, u2)), ti.i32) - R, ti.cast(ti.floor(ti.max(u, u2)), ti.i32) + R

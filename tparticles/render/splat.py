@@ -53,9 +53,15 @@ def exponential(x):
 
 
 @ti.func
-def below(x, limit: ti.template()):
-    """Whether |x| < limit, in integers: false for NaN and infinity even under fast-math. `limit` is a power of 2."""
-    return (ti.bit_cast(ti.cast(x, ti.f32), ti.i32) & 0x7FFFFFFF) < ti.bit_cast(ti.f32(limit), ti.i32)
+def finite(x):
+    """Whether x is a number; in integers, because fast-math takes every float for one."""
+    return (ti.bit_cast(ti.cast(x, ti.f32), ti.i32) & 0x7FFFFFFF) < 0x7F800000
+
+
+@ti.func
+def reachable(x):
+    """Whether |x| < REACH [px]; false for NaN and infinity."""
+    return (ti.bit_cast(ti.cast(x, ti.f32), ti.i32) & 0x7FFFFFFF) < ti.bit_cast(ti.f32(REACH), ti.i32)
 
 
 @ti.func
