@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -80,8 +81,10 @@ def _remove_run(path: Path, scene: str) -> None:
                 file.unlink()
         with suppress(OSError):  # it holds files that are not ours, or is not there
             (path / folder).rmdir()
-    for film in (f"{scene}.mp4", f"{scene}.partial.mp4"):
-        (path / film).unlink(missing_ok=True)
+    # whole films, parts of films and what an interrupted run left of either
+    for film in path.glob(f"{glob.escape(scene)}*.mp4"):
+        if re.fullmatch(re.escape(scene) + r"(\.frames-[0-9x+-]+)?(\.partial)?\.mp4", film.name):
+            film.unlink()
 
 
 def _probe(folder: Path) -> None:
