@@ -37,19 +37,23 @@ def scene(
         cooling=tp.Exponential(time=3.0, ambient=293.0),
         region=tp.Box(low=(-6.0, -4.0, -0.5), high=(6.0, 6.0, 8.0)),
     )
+    # Tongues of flame: the same smoke with smaller eddies on top, drawn as soft, short-lived, optically thin blobs.
+    tongues = tp.CurlNoise(
+        speed=0.75, length=0.34, octaves=2, drift=(wind, 0.0, 2.2), period=0.7, ramp=0.2, seed=seed + 1
+    )
     flames = tp.Group(
         name="flames",
-        system=tp.Advected(flow=smoke),
+        system=tp.Advected(flow=smoke + tongues),
         emitters=tp.Emitter(
-            births=tp.Rate(rate=1100.0),
-            shape=tp.Disc(center=(0.0, 0.0, 0.05), radius=0.26),
-            temperature=tp.Spread(mean=1540.0, variance=110.0),
-            size=tp.Spread(mean=0.1, variance=0.05),
-            lifetime=tp.Spread(mean=0.48, variance=0.24),
+            births=tp.Rate(rate=2200.0),
+            shape=tp.Disc(center=(0.0, 0.0, 0.04), radius=0.27),
+            temperature=tp.Spread(mean=1560.0, variance=120.0),
+            size=tp.Spread(mean=0.062, variance=0.03),
+            lifetime=tp.Spread(mean=0.42, variance=0.3),
             preroll=1.0,
         ),
-        cooling=tp.Exponential(time=1.1, ambient=293.0),
-        appearance=tp.Glow(emissivity=0.0016, fade_in=0.2, fade_out=0.5),
+        cooling=tp.Exponential(time=0.95, ambient=293.0),
+        appearance=tp.Glow(emissivity=0.0019, fade_in=0.15, fade_out=0.6),
     )
     embers = tp.Group(
         name="embers",
@@ -66,7 +70,7 @@ def scene(
     )
     return tp.Scene(
         groups=(embers, flames, sparks),
-        camera=tp.Camera(position=(0.0, -5.6, 1.25), target=(0.12, 0.0, 1.42), fov=32.0),
+        camera=tp.Camera(position=(0.0, -5.6, 1.25), target=(0.12, 0.0, 1.24), fov=28.5),
         look=tp.Look(ev=4.0, tone="filmic"),
         background=tp.Gradient(top=(0.012, 0.016, 0.030), bottom=(0.045, 0.034, 0.034)),
         duration=10.0,

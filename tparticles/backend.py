@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import math
 import os
 import stat
 import subprocess
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import taichi as ti
+from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from .errors import BackendError, InputError, unknown
 
@@ -85,11 +87,44 @@ def start(*, arch: str = "auto", threads: int | None = None, precision: str = "f
         raise unknown("precision", precision, get_args(Precision))
     if threads is not None and threads < 1:
         raise InputError(f"threads = {threads}: at least 1 is needed")
-    wanted = Backend(_resolve(arch, precision), threads or os.cpu_count() or 1, precision)
+    wanted = Backend(_resolve(arch, precision), threads or _cores(), precision)
     if wanted != _current:
+        _current = None  # a start that fails leaves none
         _initialise(wanted)
         _current = wanted
     return wanted
+
+
+def stop() -> None:
+    """Stop Taichi: fields and kernels of every simulation are dropped and their memory is given back.
+
+    A process that makes many simulations calls this between them: nothing else frees the fields of an old one.
+    """
+    global _current
+    _current = None
+    ti.reset()
+
+
+def lay_out() -> None:
+    """Lay out the fields that were declared so far: kernels that use them do not depend on what is declared later."""
+    ti.sync()
+
+
+def memory() -> float:
+    """Return how much memory this process may use [bytes]: the machine's or its container's; infinite if unknown."""
+    try:
+        found = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        found = math.inf
+    for limit in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        with contextlib.suppress(OSError, ValueError):  # "max": no limit
+            found = min(found, float(int(Path(limit).read_text())))
+    return found
+
+
+def _cores() -> int:
+    """Return how many CPU cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _resolve(arch: str, precision: str) -> str:
@@ -115,7 +150,9 @@ def missing(arch: str, precision: str = "f32") -> str:
         return "Vulkan has no f64 exp, sin or pow"
     code = f"import taichi as ti; ti.init(arch=ti.{arch}, enable_fallback=False, offline_cache=False, verbose=False)"
     try:
-        probe = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=_PROBE_TIMEOUT)
+        probe = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=_PROBE_TIMEOUT, env=_environment()
+        )
     except subprocess.TimeoutExpired:
         return f"its driver did not answer within {_PROBE_TIMEOUT:.0f} s"
     if probe.returncode == 0:
@@ -125,12 +162,29 @@ def missing(arch: str, precision: str = "f32") -> str:
     return f"{library} is needed ({lines[-1].strip()[:200] if lines else f'the probe died with {probe.returncode}'})"
 
 
+def _environment() -> dict[str, str]:
+    """Return the environment without what would override the architecture that was asked for."""
+    return {name: value for name, value in os.environ.items() if name != "TI_ARCH"}
+
+
+def _position(context: Any, node: Any) -> str:
+    """Return where a kernel's source stands: file, line, function and the line itself."""
+    line = node.lineno + context.lineno_offset
+    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{context.src[node.lineno - 1]}\n'
+
+
+# Taichi words this for every node of every kernel that it traces, with carets and line wrapping, in case it should fail there:
+# more than half of the time of a trace, cold or from the cache. The same without the carets is quick.
+setattr(ASTTransformerContext, "get_pos_info", _position)  # noqa: B010
+
+
 def _initialise(backend: Backend) -> None:
-    os.environ.pop("TI_ARCH", None)  # it would override the architecture that was asked for
+    os.environ.pop("TI_ARCH", None)
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the architecture; stdout is for --json
         ti.init(
             arch=getattr(ti, backend.arch),
             default_fp=backend.real,
+            default_ip=ti.i32,
             cpu_max_num_threads=backend.threads,
             # Part of the cache key: a changing value would compile every kernel again.
             random_seed=0,

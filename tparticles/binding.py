@@ -2,7 +2,8 @@
 
 Bound for a kernel, the attributes of a spec or a law (an object with `@ti.func` methods) are
 
-- float, or tuple of floats (a vector): read from a parameter pool at run time, so that another value compiles nothing;
+- float, or tuple of numbers with a float among them (a vector): read from a parameter pool at run time, so that another
+  value compiles nothing;
 - NumPy array (one-dimensional): in the pool too, indexed at run time as `self.name[i]`;
 - other specs and laws (and tuples of them): bound in turn;
 - all the rest (int, bool, str): constants of the compiled kernel.
@@ -18,6 +19,7 @@ import taichi as ti
 from taichi.lang.impl import subscript
 
 from . import backend
+from .errors import InputError
 
 
 class Parameters:
@@ -44,10 +46,10 @@ class Parameters:
                 continue
             if isinstance(value, float):
                 properties[name] = self._scalar(value)
-            elif isinstance(value, tuple) and value and all(isinstance(v, float) for v in value):
+            elif isinstance(value, tuple) and _is_vector(value):
                 properties[name] = self._vector(value)
             elif isinstance(value, np.ndarray):
-                constants[name] = self._table(value)
+                constants[name] = self.table(value)
             elif isinstance(value, tuple):
                 constants[name] = tuple(self.bind(v) if _is_bindable(v) else v for v in value)
             else:
@@ -57,18 +59,23 @@ class Parameters:
         return bound
 
     def _scalar(self, value: float) -> property:
-        i = len(self.scalars)
+        i, self._array = len(self.scalars), None
         self.scalars.append(value)
         return property(lambda _: self.load(i))
 
     def _vector(self, values: tuple[float, ...]) -> property:
-        first = len(self.scalars)
+        first, self._array = len(self.scalars), None
         self.scalars.extend(values)
         return property(lambda _: ti.Vector([self.load(first + d) for d in range(len(values))]))
 
-    def _table(self, values: np.ndarray) -> "_Table":
-        table = _Table(self, self._length)
-        self._tables.append(values.ravel())
+    def table(self, values: np.ndarray) -> "_Table":
+        """Put an array into the pool; return what kernels index."""
+        if values.ndim != 1 or values.dtype.kind not in "fiub":
+            raise InputError(
+                f"a law's array must be one-dimensional and real, not {values.dtype} of shape {values.shape}"
+            )
+        table, self._array = _Table(self, self._length), None
+        self._tables.append(values)
         self._length += values.size
         return table
 
@@ -105,6 +112,12 @@ class _Table:
 
     def __getitem__(self, i: Any) -> Any:
         return self._pool.load_table(self._first + i)
+
+
+def _is_vector(value: tuple[Any, ...]) -> bool:
+    """Numbers, at least one of them a float: (0.0, 0, 1.5) is a vector, (1, 2) are two integers."""
+    numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in value)
+    return numbers and any(isinstance(v, float) for v in value)
 
 
 def _is_bindable(value: Any) -> bool:

@@ -7,10 +7,14 @@ import platform
 import shutil
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import Any, get_args
 
 from . import __version__, library
-from .errors import TparticlesError
+from .backend import Precision
+from .errors import TparticlesError, unknown
+from .output import check_ffmpeg
+from .parameter import plain
+from .scene import QUALITIES
 from .systems.attributes import ATTRIBUTES, bytes_per_particle
 from .systems.population import schedules
 
@@ -21,7 +25,12 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     Raises:
         InputError: see `library.load` and `Script.build`.
     """
+    if quality not in QUALITIES:
+        raise unknown("quality", quality, QUALITIES)
+    if precision not in get_args(Precision):
+        raise unknown("precision", precision, get_args(Precision))
     script = library.load(scene)
+    values = script.values(settings)
     built = script.build(quality=quality, settings=settings)
     frame, end = float(1 / built.fps), float(built.frame_count / built.fps)
     groups = []
@@ -45,7 +54,10 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     return {
         "scene": script.name,
         "summary": script.summary,
-        "parameters": {n: {"type": p.type_name, "default": p.default} for n, p in script.parameters.items()},
+        "parameters": {
+            name: {"type": p.type_name, "default": plain(p.default), "value": plain(values[name])}
+            for name, p in script.parameters.items()
+        },
         "frames": built.frame_count,
         "fps": str(built.fps),
         "size": list(built.resolution(quality)),
@@ -56,6 +68,12 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     }
 
 
+def _parameter(name: str, parameter: Mapping[str, Any]) -> str:
+    value, default = parameter["value"], parameter["default"]
+    changed = f", default {default}" if value != default else ""
+    return f"    {name} = {value} ({parameter['type']}{changed})"
+
+
 def text(found: Mapping[str, Any]) -> str:
     """Return the answer of `describe_scene` for people."""
     lines = [
@@ -63,7 +81,7 @@ def text(found: Mapping[str, Any]) -> str:
         f"  {found['frames']} frames at {found['fps']} fps, {found['size'][0]}x{found['size'][1]}",
         f"  scheme {found['scheme']}, steps {found['steps']}, clamp {found['clamp']}",
         "  parameters (--set name=value):",
-        *(f"    {n} = {p['default']} ({p['type']})" for n, p in found["parameters"].items()),
+        *(_parameter(name, p) for name, p in found["parameters"].items()),
     ]
     for g in found["groups"]:
         attributes = " ".join(f"{n}:{b}" for n, b in g["attributes"].items())
@@ -78,7 +96,6 @@ def text(found: Mapping[str, Any]) -> str:
 def examine() -> dict[str, str]:
     """Return what matters of this machine, a line each."""
     from . import backend
-    from .output.ffmpeg import find_ffmpeg
 
     def attempt(action: Any) -> str:
         try:
@@ -93,7 +110,7 @@ def examine() -> dict[str, str]:
         "cores": str(os.cpu_count()),
         "cpu": "ok",
         **{arch: backend.missing(arch) or "ok" for arch in ("cuda", "vulkan")},
-        "ffmpeg": attempt(find_ffmpeg),
+        "ffmpeg": attempt(check_ffmpeg),
         "kernel cache": attempt(backend.cache_folder),
     }
     disk = shutil.disk_usage(".")

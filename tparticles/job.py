@@ -6,24 +6,31 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import os
 import platform
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from . import __version__, output, schemes
-from .errors import InputError
-from .library import Script, load
+from .backend import Arch, Precision
+from .errors import InputError, unknown
+from .library import load
+from .parameter import description, plain
+from .render.appearance import Picture
 from .scene import QUALITIES, Scene, frame_numbers, frame_rate
 from .simulation import Frame, Simulation
 
 _WORKERS = 2  # PNG threads
 _QUEUE = 8  # frames in flight, 6 MB each at 1920x1080
+_BYTES_PER_PIXEL = 70  # film, tone curve and picture at their peak, as measured at 16384x16384
+_POSES = 10_000  # of a moving camera, looked at before the film begins
+_LONGEST_SPAN = 60  # characters; file names have 255 at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +55,7 @@ class Options:
 
 
 class Job:
-    """A validated render: everything that can be wrong with the request is found here, before anything is written.
+    """A validated render: what can be wrong with the request is found here, before anything is written.
 
     Raises:
         InputError: the script, a setting, a size, a frame range.
@@ -56,22 +63,26 @@ class Job:
 
     def __init__(self, scene: str, options: Options):
         self.options = options
+        _check(options)
         self.script = load(scene)
-        if options.quality not in QUALITIES:
-            raise InputError(f"quality '{options.quality}' is unknown (known: {', '.join(QUALITIES)})")
         self.settings = dict(options.settings)
         if options.seed is not None and "seed" in self.script.parameters:
-            self.settings.setdefault("seed", options.seed)
-        self.scene = self._scene(self.script)
+            if "seed" in self.settings:
+                raise InputError("the seed is given twice: leave out --seed or --set seed")
+            self.settings["seed"] = options.seed
+        self.scene = self._scene()
         self.size = self.scene.resolution(options.quality)  # type: ignore[arg-type]
-        self.frames = frame_numbers(options.frames or "1-", self.scene.frame_count)
-        self.out = options.out or Path("renders") / self.script.name
-        if not (options.png or options.mp4 or options.states):
-            raise InputError("nothing to write: --no-png, --no-mp4 and no --states")
+        self.frames = frame_numbers("1-" if options.frames is None else options.frames, self.scene.frame_count)
+        self.out = Path("renders") / self.script.name if options.out is None else options.out
+        if options.mp4:
+            output.check_film(fps=self.scene.fps, size=self.size)
+        _check_memory(self.size)
+        self._check_camera()
+        self.identity = self._identity()
 
-    def _scene(self, script: Script) -> Scene:
+    def _scene(self) -> Scene:
         o = self.options
-        scene = script.build(quality=o.quality, settings=self.settings)
+        scene = self.script.build(quality=o.quality, settings=self.settings)
         changes = {
             "fps": None if o.fps is None else frame_rate(o.fps),
             "size": o.size,
@@ -80,39 +91,47 @@ class Job:
         }
         return dataclasses.replace(scene, **{k: v for k, v in changes.items() if v is not None})
 
-    @property
-    def identity(self) -> str:
-        """A hash of all that decides the pixels: script, parameters, size, rate, seed, scheme, precision, version."""
+    def _check_camera(self) -> None:
+        """Find a moving camera that looks at itself before the first frame is drawn, not at the hundredth."""
+        camera, last = self.scene.camera, self.frames[-1]
+        if camera.moves:
+            for frame in range(0, last + 1, 1 + last // _POSES):
+                camera.pose(float(frame / self.scene.fps))
+
+    def _identity(self) -> str:
+        """A hash of all that decides the pictures, whatever machine draws them and whichever frames are asked for.
+
+        The script's text, its parameters, what it described (a script may read other files), and what draws it.
+        """
         parts = {
-            "version": __version__,
-            "script": hashlib.sha256(self.script.path.read_bytes()).hexdigest(),
+            "versions": {"tparticles": __version__, "taichi": version("taichi")},
+            "script": hashlib.sha256(self.script.source.encode()).hexdigest(),
+            "settings": self.script.values(self.settings),
+            "scene": description(self.scene),
+            "background": _picture_hash(self.scene.background),
             "quality": self.options.quality,
-            "settings": self.script.settings(self.settings),
             "size": self.size,
-            "fps": str(self.scene.fps),
-            "seed": self.scene.seed,
-            "scheme": self.scene.scheme.name,
             "precision": self.options.precision,
         }
-        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=description).encode()).hexdigest()[:16]
 
     @property
     def film_path(self) -> Path:
         """Where the MP4 goes; a part of the film never takes the name of the whole."""
         whole = len(self.frames) == self.scene.frame_count
-        span = "" if whole else f".frames-{(self.options.frames or '').replace(',', '+')}"
-        return self.out / f"{self.script.name}{span}.mp4"
+        return self.out / f"{self.script.name}{'' if whole else '.frames-' + _span(self.frames)}.mp4"
 
     def header(self) -> dict[str, Any]:
         """Return what run.json says of the run as a whole."""
         return {
             "scene": self.script.name,
-            "identity": self.identity,
-            "parameters": {n: p.default for n, p in self.script.parameters.items()}
-            | self.script.settings(self.settings),
+            "scene_hash": self.identity,
+            "script": str(self.script.path),
+            "parameters": {name: plain(value) for name, value in self.script.values(self.settings).items()},
             "quality": self.options.quality,
             "size": list(self.size),
             "fps": str(self.scene.fps),
+            "frame_count": self.scene.frame_count,
             "seed": self.scene.seed,
             "scheme": schemes.describe(self.scene.scheme),
             "steps": repr(self.scene.steps),
@@ -129,46 +148,60 @@ class Job:
         """Render; call `progress(frame, frames done)` for each frame; return what run.json holds.
 
         Raises:
+            InputError, BackendError: found before anything is written, but for what only a running kernel can tell.
             RunError: something failed on the way; finished frames stay, run.json says "failed".
             KeyboardInterrupt: passed on after what is finished has been kept and run.json says "interrupted".
         """
-        identity = self.identity
-        output.claim_folder(self.out, scene=self.script.name, identity=identity, existing=self.options.existing)
-        kept = self._rows_of_other_frames(identity)
-        with contextlib.ExitStack() as undo:
-            writers = self._writers(undo)
+        if self.options.mp4:
+            output.check_ffmpeg()
+        with self.script.blamed():
             simulation = self._simulation()
-            manifest = output.Manifest(self.out / "run.json", self.header() | {"arch": simulation.backend.arch})
-            for row in kept:
+        arch = simulation.backend.arch
+        # Two architectures round differently: their frames are not of one film.
+        owner = f"{self.identity}-{arch}"
+        output.claim_folder(self.out, scene=self.script.name, identity=owner, existing=self._existing())
+        rows = self._finished_rows(owner)
+        manifest = output.Manifest(self.out / "run.json", self.header() | {"identity": owner, "arch": arch})
+        try:
+            for row in rows:
                 manifest.add(row)
-            undo.pop_all()  # from here on the pipeline owns the writers
-            try:
-                self._shoot(simulation, writers, manifest, identity, progress)
-            except KeyboardInterrupt:
-                manifest.finish("interrupted")
-                raise
-            except BaseException as error:
-                manifest.finish("failed", str(error) or type(error).__name__)
-                raise
-            manifest.finish("done")
+            with self.script.blamed():
+                self._shoot(simulation, manifest, progress)
+        except KeyboardInterrupt:
+            manifest.finish("interrupted")
+            raise
+        except BaseException as error:
+            manifest.finish("failed", str(error) or type(error).__name__)
+            raise
+        manifest.finish("done")
         return output.read_manifest(self.out / "run.json")
 
-    def _rows_of_other_frames(self, identity: str) -> list[dict[str, Any]]:
-        """Return what an earlier run of the same film says of frames that this one leaves alone."""
+    def _existing(self) -> str:
+        """Return what to do with what is there: the remains of a run without one finished frame are nobody's loss."""
         path = self.out / "run.json"
-        if not path.exists() or (old := output.read_manifest(path)).get("identity") != identity:
+        with contextlib.suppress(InputError):  # claim_folder will say it
+            if path.is_file() and output.read_manifest(path).get("frames") == []:
+                return "overwrite"
+        return self.options.existing
+
+    def _finished_rows(self, owner: str) -> list[dict[str, Any]]:
+        """Return what an earlier run of the same film says of its frames; a frame drawn anew replaces its row."""
+        path = self.out / "run.json"
+        if not path.exists() or (old := output.read_manifest(path)).get("identity") != owner:
             return []
-        chosen = set(self.frames)
-        return [row for row in old.get("frames", []) if row.get("frame") not in chosen]
+        rows = old.get("frames")
+        found = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+        return [row for row in found if type(row.get("frame")) is int]
 
     def _writers(self, undo: contextlib.ExitStack) -> list[output.Writer]:
+        """Open what is written, in `undo` too: it closes what is open if a later one, or the pipeline, fails."""
         writers: list[output.Writer] = []
 
         def add(writer: output.Writer) -> None:
-            writers.append(writer)
             undo.callback(writer.abort)
+            writers.append(writer)
 
-        if self.options.mp4:  # first: it refuses odd sizes and a missing ffmpeg
+        if self.options.mp4:
             add(output.Mp4(self.film_path, fps=self.scene.fps, size=self.size))
         if self.options.png:
             add(output.PngSequence(self.out / "frames"))
@@ -180,14 +213,7 @@ class Job:
         o = self.options
         return Simulation(self.scene, quality=o.quality, arch=o.arch, threads=o.threads, precision=o.precision)
 
-    def _shoot(
-        self,
-        simulation: Simulation,
-        writers: list[output.Writer],
-        manifest: output.Manifest,
-        identity: str,
-        progress: Callable[[Frame, int], None],
-    ) -> None:
+    def _shoot(self, simulation: Simulation, manifest: output.Manifest, progress: Callable[[Frame, int], None]) -> None:
         rows: dict[int, dict[str, Any]] = {}
 
         def finished(record: output.FrameRecord) -> None:
@@ -195,19 +221,74 @@ class Job:
             row["ms"]["encode"] = record.encode_ms
             manifest.add(row | {"sha256": record.sha256})
 
-        with output.Pipeline(writers, workers=_WORKERS, queue_size=_QUEUE, on_frame=finished) as pipeline:
-            for done, frame in enumerate(simulation.frames(self.frames), start=1):
-                rows[frame.number] = frame.report.row()
-                provenance = {
-                    "Software": f"tparticles {__version__}",
-                    "Scene": f"{self.script.name} {identity}",
-                    "Frame": str(frame.number),
-                    "Seed": str(self.scene.seed),
-                    "Scheme": self.scene.scheme.name,
-                }
-                states = merged(frame.state()) if self.options.states else None
-                pipeline.submit(output.OutputFrame(frame.number, frame.image, provenance, states))
-                progress(frame, done)
+        with contextlib.ExitStack() as undo:
+            writers = self._writers(undo)
+            with output.Pipeline(writers, workers=_WORKERS, queue_size=_QUEUE, on_frame=finished) as pipeline:
+                for done, frame in enumerate(simulation.frames(self.frames), start=1):
+                    rows[frame.number] = frame.report.row()
+                    states = merged(frame.state()) if self.options.states else None
+                    pipeline.submit(output.OutputFrame(frame.number, frame.image, self._provenance(frame), states))
+                    progress(frame, done)
+
+    def _provenance(self, frame: Frame) -> dict[str, str]:
+        """Return what a PNG says of itself; nothing that differs between two runs of the same film."""
+        return {
+            "Software": f"tparticles {__version__}",
+            "Scene": f"{self.script.name} {self.identity}",
+            "Frame": str(frame.number),
+            "Seed": str(self.scene.seed),
+            "Scheme": self.scene.scheme.name,
+        }
+
+
+def _check(options: Options) -> None:
+    for kind, value, allowed in (
+        ("quality", options.quality, QUALITIES),
+        ("arch", options.arch, get_args(Arch)),
+        ("precision", options.precision, get_args(Precision)),
+    ):
+        if value not in allowed:
+            raise unknown(kind, value, allowed)
+    if options.threads is not None and options.threads < 1:
+        raise InputError(f"threads = {options.threads}: at least 1 is needed")
+    if not (options.png or options.mp4 or options.states):
+        raise InputError("nothing to write: --no-png, --no-mp4 and no --states")
+
+
+def _check_memory(size: tuple[int, int]) -> None:
+    """Refuse a picture that cannot fit, before the system kills us for it."""
+    try:
+        available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return
+    needed = _BYTES_PER_PIXEL * size[0] * size[1]
+    if needed > available:
+        raise InputError(
+            f"size is {size[0]}x{size[1]}: that takes {needed / 2**30:.1f} GiB, this machine has {available / 2**30:.1f} GiB"
+        )
+
+
+def _span(frames: Sequence[int]) -> str:
+    """Return a name for a part of a film, the same for the same frames: `1-240x2`, `7`, `1-5+9`."""
+    parts, rest = [], list(frames)
+    while rest:
+        stride = rest[1] - rest[0] if len(rest) > 1 else 1
+        n = next((i for i in range(1, len(rest)) if rest[i] - rest[i - 1] != stride), len(rest))
+        if n == 2 and stride > 1:
+            n = 1  # two frames far apart are no range
+        parts.append(str(rest[0]) if n == 1 else f"{rest[0]}-{rest[n - 1]}" + (f"x{stride}" if stride > 1 else ""))
+        rest = rest[n:]
+    text = "+".join(parts)
+    return text if len(text) <= _LONGEST_SPAN else f"{frames[0]}-{frames[-1]}+{zlib.crc32(text.encode())}"
+
+
+def _picture_hash(background: Any) -> str:
+    if not isinstance(background, Picture):
+        return ""
+    try:
+        return hashlib.sha256(Path(background.path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"background '{background.path}' cannot be read: {error.strerror}") from None
 
 
 def merged(groups: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

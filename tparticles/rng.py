@@ -38,10 +38,10 @@ def stream_key(seed: int, name: str) -> int:
     """Return the 32-bit key of the stream `name` (an emitter, a noise) under `seed` (any non-negative integer)."""
     if seed < 0:
         raise InputError(f"seed = {seed}: must not be negative")
-    key = np.uint32(zlib.crc32(name.encode()))
+    key = np.asarray(zlib.crc32(name.encode()), np.uint32)
     while True:  # fold the seed in, 32 bits at a time
         with np.errstate(over="ignore"):
-            key = _mix(key ^ _mix(np.uint32((seed & 0xFFFFFFFF) + _GOLDEN & 0xFFFFFFFF)))
+            key = _mix(key ^ _mix(((seed & 0xFFFFFFFF) + _GOLDEN) & 0xFFFFFFFF))
         seed >>= 32
         if not seed:
             return int(key)

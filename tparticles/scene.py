@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, SkipValidation
 
 from . import schemes
-from .errors import InputError
+from .errors import InputError, unknown
 from .physics.cooling import Char, Exponential, Radiative
 from .physics.emitters import Emitter, Schedule
 from .physics.law import Bound
@@ -26,6 +27,9 @@ from .spec import Positive, spec
 from .stepping.control import Clamp, Controller, Fixed
 from .systems.motion import System
 from .systems.view import Constants
+
+_MOST_FRAMES = 10_000_000
+_FINEST_RATE = 1_001_000  # of numerator and denominator: what ffmpeg keeps exact
 
 QUALITIES = {"preview": (480, 270), "draft": (960, 540), "final": (1920, 1080)}
 
@@ -109,7 +113,9 @@ class Group:
         lifetimes = [math.inf if v is None else v.high for v in self._values("lifetime")]
         bounds = [max(lifetimes)]
         if self.freezes and not isinstance(self.cooling, Char):
-            seen = dataclasses.replace(look, ev=look.ev - math.log2(self.appearance.emissivity))  # type: ignore[union-attr]
+            # A wide dot's Gaussian is twice as bright in the middle as its disc.
+            gain = math.log2(2 * self.appearance.emissivity)  # type: ignore[union-attr]
+            seen = dataclasses.replace(look, ev=look.ev - gain)
             coldest = seen.coldest_visible(BlackbodyTable.build(adaptation=look.adaptation()))
             hottest = max(v.high for v in self._values("temperature") if v)
             largest = max(v.high for v in self._values("size") if v)
@@ -170,14 +176,22 @@ class Scene:
                 )
         if self.frame_count < 1:
             raise InputError(f"duration = {self.duration:g} s is shorter than one frame at {self.fps} fps")
+        if self.frame_count > _MOST_FRAMES:
+            raise InputError(f"duration = {self.duration:g} s at {self.fps} fps: more than {_MOST_FRAMES} frames")
 
     @property
     def frame_count(self) -> int:
         """How many frames the film has; frame k, from 1, shows the time k / fps."""
         return math.floor(Fraction(self.duration).limit_denominator(10**6) * self.fps)
 
-    def resolution(self, quality: Literal["preview", "draft", "final"] = "final") -> tuple[int, int]:
-        """Return (width, height) [px]."""
+    def resolution(self, quality: str = "final") -> tuple[int, int]:
+        """Return (width, height) [px].
+
+        Raises:
+            InputError: an unknown quality.
+        """
+        if quality not in QUALITIES:
+            raise unknown("quality", quality, QUALITIES)
         return self.size or QUALITIES[quality]
 
 
@@ -185,14 +199,20 @@ def frame_rate(value: Any) -> Fraction:
     """Return a frame rate as an exact fraction; accepts 24, 29.97 (as written), "30000/1001".
 
     Raises:
-        InputError: no number, not above 0, or above 1000.
+        InputError: no number, not above 0, above 1000, or a fraction too fine for a film; the nearest usual one is named.
     """
+    text = str(value).strip()
     try:
-        rate = Fraction(str(value).strip())
+        if re.search(r"[eE][+-]?\d{4}", text):  # 1e999999999 would be worked out to the last digit
+            raise ValueError
+        rate = Fraction(text)
     except (ValueError, ZeroDivisionError):
         raise InputError(f"fps = {value}: a number or a fraction such as 30000/1001 is needed") from None
-    if not 0 < rate <= 1000:
+    if not Fraction(1, _FINEST_RATE) <= rate <= 1000:
         raise InputError(f"fps = {value}: must be above 0 and at most 1000")
+    if max(rate.numerator, rate.denominator) > _FINEST_RATE:
+        near = Fraction(round(rate * 1001), 1001) if rate > 1 else rate.limit_denominator(_FINEST_RATE)
+        raise InputError(f"fps = {value}: too fine a fraction for a film; did you mean {near}?")
     return rate
 
 
@@ -200,21 +220,20 @@ def frame_numbers(text: str, count: int) -> tuple[int, ...]:
     """Return the frames of a range such as `1-240`, `1-240x2` (every second), `7`, `100-`, or several with commas.
 
     Raises:
-        InputError: it cannot be read, is empty, or leaves 1..`count`; frames out of range are named.
+        InputError: it cannot be read, is reversed, or leaves 1..`count`.
     """
     chosen: set[int] = set()
     for part in text.split(","):
-        span, _, step = part.strip().partition("x")
-        low, dash, high = span.partition("-")
-        try:
-            first = int(low)
-            last = int(high) if high else (count if dash else first)
-            stride = int(step) if step else 1
-        except ValueError:
-            raise InputError(f"frames '{text}': '{part}' is no range such as 1-240, 1-240x2 or 7") from None
-        if first < 1 or last > count or stride < 1:
-            raise InputError(f"frames '{text}': '{part}' leaves the film, which has frames 1-{count} (step at least 1)")
+        found = re.fullmatch(r"([0-9]{1,9})(?:-([0-9]{1,9})?(?:x([0-9]{1,9}))?)?", part.strip())
+        if not found:
+            raise InputError(f"frames '{text}': '{part.strip()}' is no range such as 1-240, 1-240x2 or 7")
+        first, stride = int(found[1]), int(found[3] or 1)
+        last = int(found[2]) if found[2] else (count if "-" in part else first)
+        if first < 1 or first > count or last > count:
+            raise InputError(f"frames '{text}': '{part.strip()}' leaves the film, which has frames 1-{count}")
+        if last < first:
+            raise InputError(f"frames '{text}': '{part.strip()}' is empty, {last} comes before {first}")
+        if stride < 1:
+            raise InputError(f"frames '{text}': '{part.strip()}' has step 0; it must be at least 1")
         chosen.update(range(first, last + 1, stride))
-    if not chosen:
-        raise InputError(f"frames '{text}': the range is empty (the film has frames 1-{count})")
     return tuple(sorted(chosen))

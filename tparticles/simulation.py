@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,18 +19,19 @@ import numpy as np
 from . import backend
 from .binding import Parameters
 from .errors import InputError, RunError
+from .physics.emitters import Schedule
 from .render.appearance import film_background
 from .render.film import Dots, Film
 from .render.project import Projector, camera_row, draw
 from .scene import Group, Scene
 from .stepping.control import StabilityLimit, frame_step
 from .stepping.fused import FusedStepper, StepReport
-from .systems.attributes import Columns, bytes_per_particle
+from .systems.attributes import Columns, bytes_allocated
 from .systems.mortality import Mortality
 from .systems.population import Population, schedules
 from .systems.view import View
 
-_DOTS = 1 << 20  # dots handed to the film at a time
+_FEW_DOTS, _MOST_DOTS = 1 << 14, 1 << 20  # dots handed to the film at a time: room for at least, at most
 
 
 @dataclass
@@ -78,21 +78,40 @@ class Frame:
         return {group.spec.name: group.state(self.report.time) for group in self._simulation.groups}
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """What a group will need, worked out before anything is allocated. `dt` [s] is the step to hand to the kernel."""
+
+    spec: Group
+    births: list[Schedule]
+    capacity: int
+    names: tuple[str, ...]
+    dt: float
+
+    @classmethod
+    def of(cls, spec: Group, scene: Scene) -> _Plan:
+        """Plan a group of `scene`. Births are made up to the film's duration, whatever the frame rate."""
+        frame = float(1 / scene.fps)
+        births = schedules(spec.name, spec.emitters, seed=scene.seed, end=scene.duration)
+        bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
+        return cls(
+            spec,
+            births,
+            spec.derived_capacity(births, look=scene.look, frame=frame),
+            spec.attributes(streaks=scene.shutter > 0),
+            frame_step(scene.steps, scheme=scene.scheme, bound=bound, frame=frame),
+        )
+
+
 class _Group:
     """One allocated group."""
 
-    def __init__(self, spec: Group, scene: Scene, *, frame: float, end: float):
-        self.spec = spec
-        births = schedules(spec.name, spec.emitters, seed=scene.seed, end=end)
-        capacity = spec.derived_capacity(births, look=scene.look, frame=frame)
-        names = spec.attributes(streaks=scene.shutter > 0)
-        precision = backend.current().precision
-        _check_memory(spec.name, capacity, bytes_per_particle(names, precision))
-        self.columns = Columns(names, capacity)
+    def __init__(self, plan: _Plan, scene: Scene):
+        spec = self.spec = plan.spec
+        self.dt = plan.dt
+        self.columns = Columns(plan.names, plan.capacity)
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
-        bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
-        self.dt = frame_step(scene.steps, scheme=scene.scheme, bound=bound, frame=frame)
         self.stepper = FusedStepper(
             spec.system,
             cooling=spec.cooling,
@@ -106,10 +125,10 @@ class _Group:
             self.columns,
             self.view,
             region=spec.region,
-            brightness=self.projector if spec.freezes else None,
+            frost=self.projector if spec.freezes else None,
             ages=any(e.lifetime is not None for e in spec.emitters),
         )
-        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=births)
+        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births)
 
     def state(self, t: float) -> dict[str, np.ndarray]:
         """Return the arrays of the living at time `t` [s]."""
@@ -124,7 +143,9 @@ class _Group:
 
 
 class Simulation:
-    """A scene at work. One simulation at a time owns the backend of a process.
+    """A scene at work. One simulation at a time owns the backend of a process, on the thread that made it.
+
+    Fields of an old simulation stay allocated until `backend.stop()`.
 
     Arguments:
         scene: what to simulate.
@@ -153,16 +174,22 @@ class Simulation:
         self.scene = dataclasses.replace(scene, **{k: v for k, v in options.items() if v is not None})
         self.backend = backend.start(arch=arch, threads=threads, precision=precision)
         scene = self.scene
-        self.width, self.height = scene.resolution(quality)  # type: ignore[arg-type]
+        self.width, self.height = scene.resolution(quality)
         self.frame_seconds = 1 / scene.fps
-        end = float(Fraction(scene.frame_count) / scene.fps)
+        plans = [_Plan.of(group, scene) for group in scene.groups]
+        _check_memory(plans, self.backend.precision)
         self._camera_at = 0.0, camera_row(scene.camera.pose(0.0), self.width, self.height)
-        self.groups = [_Group(g, scene, frame=float(self.frame_seconds), end=end) for g in scene.groups]
-        self.film = Film(self.width, self.height)
+        # A cached kernel fits if its fields were created in the same order and laid out with the same others. So the film
+        # comes first, in a size that most scenes share, and then each group by itself.
+        room = 1 << (max(plan.capacity for plan in plans) - 1).bit_length()
+        room = min(_MOST_DOTS, max(_FEW_DOTS, room))
+        self.film, self.dots = Film(self.width, self.height, capacity=room), Dots(room)
         self.film.set_background(film_background(scene.background, scene.look, self.width, self.height))
-        self.dots = Dots(min(_DOTS, max(g.columns.capacity for g in self.groups)))
+        self.groups: list[_Group] = []
+        for plan in plans:
+            backend.lay_out()
+            self.groups.append(_Group(plan, scene))
         self.table, self.film_max = scene.look.display_table()
-        self.threshold = scene.look.threshold()
         first = min(e.first_time for g in scene.groups for e in g.emitters)
         self._frame = min(0, math.floor(Fraction(first).limit_denominator(10**6) * scene.fps))
 
@@ -176,7 +203,10 @@ class Simulation:
         Raises:
             RunError: a particle went astray, a group overflowed; names frame, group and particle or emitter.
         """
-        for number in numbers or range(1, self.scene.frame_count + 1):
+        last = self.scene.frame_count
+        for number in range(1, last + 1) if numbers is None else numbers:
+            if not 1 <= number <= last:
+                raise InputError(f"frame {number} leaves the film, which has frames 1-{last}")
             if number <= self._frame:
                 raise InputError(f"frame {number} is past: the simulation has reached frame {self._frame}")
             report = self.advance_to(number)
@@ -200,14 +230,13 @@ class Simulation:
         middle = time.perf_counter()
         report.add_steps(group.stepper.advance(people.alive, t0, t1, group.dt))
         try:
-            died = group.mortality.mark(people.alive, t1, self.threshold, self._camera(t1))
+            died = group.mortality.mark(people.alive, t1, self._camera(t1))
         except RunError as error:
             raise RunError(
                 f"frame {self._frame + 1}, group '{group.spec.name}': {error} "
                 f"(t = {t1:.6g} s, scheme {self.scene.scheme.name}, dt <= {group.dt:.3g} s)"
             ) from None
-        if died:
-            report.died += people.bury(group.mortality.dead)
+        report.died += people.bury(group.mortality.dead, died)
         report.ms["births"] += (middle - start) * 1e3
         report.ms["step"] += (time.perf_counter() - middle) * 1e3
 
@@ -236,15 +265,14 @@ class Simulation:
         return image
 
 
-def _check_memory(name: str, capacity: int, each: int) -> None:
-    """Refuse what cannot fit before it is allocated; compaction needs half as much again."""
-    needed = capacity * (each + 16)
-    try:
-        available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return
-    if needed > available:
+def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
+    """Refuse what cannot fit before it is allocated."""
+    needed = [plan.capacity * bytes_allocated(plan.names, precision) for plan in plans]
+    available = backend.memory()
+    if sum(needed) > available:
+        largest = plans[needed.index(max(needed))]
         raise InputError(
-            f"group '{name}': room for {capacity} particles takes {needed / 2**30:.1f} GiB, this machine has "
-            f"{available / 2**30:.1f} GiB; give shorter lifetimes, lower rates or a Group.capacity"
+            f"group '{largest.spec.name}': room for {largest.capacity} particles takes {max(needed) / 2**30:.1f} GiB "
+            f"({sum(needed) / 2**30:.1f} GiB with all groups), this machine has {available / 2**30:.1f} GiB; "
+            "give shorter lifetimes, lower rates or a Group.capacity"
         )

@@ -15,6 +15,7 @@ from pydantic.dataclasses import dataclass as pydantic_dataclass
 from .errors import InputError, nearest
 
 Class = TypeVar("Class", bound=type)
+_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")
 _CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
 
@@ -39,7 +40,7 @@ def spec(cls: Class) -> Class:
     cls = pydantic_dataclass(frozen=True, kw_only=True, config=_CONFIG)(cls)  # type: ignore[assignment]
     construct: Callable[..., None] = cls.__init__
 
-    def __init__(self: Any, *args: Any, **options: Any) -> None:
+    def __init__(self: Any, *args: Any, **options: Any) -> None:  # noqa: N807
         try:
             if args:
                 raise InputError(f"{cls.__name__} takes keyword arguments only ({', '.join(_fields(cls))})")
@@ -57,20 +58,22 @@ def _fields(cls: type) -> list[str]:
 
 def explain(error: ValidationError, owner: str, names: Sequence[str] = ()) -> str:
     """Say in one line what pydantic found: owner, parameter, value, what is allowed, nearest right name."""
-    found = error.errors(include_url=False)
+    # a wrong name first: it is why the right one is missing
+    found = sorted(error.errors(include_url=False), key=lambda e: e["type"] not in _UNKNOWN)
     # of the members of a union, the one whose error lies deepest is the one that was meant
-    same = [e for e in found if e["loc"][:1] == found[0]["loc"][:1]]
-    first = max(same, key=lambda e: len(e["loc"]))
+    deepest = max(len(e["loc"]) for e in found if e["loc"][:1] == found[0]["loc"][:1])
+    same = [e for e in found if e["loc"][:1] == found[0]["loc"][:1] and len(e["loc"]) == deepest]
+    first = same[0]
     others = len({e["loc"][:1] for e in found}) - 1
     path = _path(first["loc"])
     where = f"{owner}.{path}" if path else owner
-    if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+    if first["type"] in _UNKNOWN:
         text = f"{owner} has no parameter '{path}'{nearest(path, names)} (known: {', '.join(names)})"
     elif first["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         text = f"{where} is missing"
     elif first["type"] == "dataclass_type":
-        kinds = dict.fromkeys(e["ctx"]["class_name"] for e in same if e["type"] == "dataclass_type")
-        text = f"{where} = {_short(first['input'])}: should be a {' or a '.join(kinds)}"
+        kinds = (e.get("ctx", {})["class_name"] for e in same if e["type"] == "dataclass_type")
+        text = f"{where} = {_short(first['input'])}: should be a {' or a '.join(dict.fromkeys(kinds))}"
     else:
         reason = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
         text = f"{where} = {_short(first['input'])}: {reason}"

@@ -11,7 +11,7 @@ import pytest
 from tparticles.backend import Backend
 from tparticles.errors import InputError
 from tparticles.render import splat
-from tparticles.render.film import Dots, Film
+from tparticles.render.film import Dots, Film, _Pieces
 from tparticles.render.look import Look, bayer
 
 WIDTH, HEIGHT = 96, 80
@@ -222,11 +222,10 @@ np.savez(out, sums=film.sums(), image=film.develop(np.linspace(0, 255, 500), 1.0
 """
 
 
-def draw_elsewhere(out: Path, *, arch: str = "cpu", threads: int = 2, precision: str = "f32") -> tuple[np.ndarray, np.ndarray]:
-    command = [sys.executable, "-W", "error::SyntaxWarning", "-c", ELSEWHERE]
-    ELSEWHERE_FILE = out.with_suffix(".py")
-    ELSEWHERE_FILE.write_text(ELSEWHERE)
-    command = [sys.executable, str(ELSEWHERE_FILE), arch, str(threads), precision, str(out)]
+def draw_elsewhere(
+    out: Path, *, arch: str = "cpu", threads: int = 2, precision: str = "f32"
+) -> tuple[np.ndarray, np.ndarray]:
+    command = [sys.executable, "-c", ELSEWHERE, arch, str(threads), precision, str(out)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=Path(__file__).parents[2])
     if result.returncode == 1 and "is not available" in result.stderr:
         pytest.skip(result.stderr.strip().splitlines()[-1])
@@ -247,6 +246,16 @@ def test_one_thread_draws_the_same_bits(tmp_path: Path, reference: tuple[np.ndar
     assert np.array_equal(image, reference[1])
 
 
+def test_pieces_of_the_gpu_path_are_the_bands(film: Film, dots: Dots, crowd: dict[str, np.ndarray]) -> None:
+    bands = drawn(film, dots, **crowd)
+    film.pieces = _Pieces()
+    try:
+        pieces = drawn(film, dots, **crowd)
+    finally:
+        film.pieces = None
+    assert np.abs(bands - pieces).max() <= 64  # last bits of f32 in a few of the dots that overlap
+
+
 def test_gpu_path_draws_the_same(tmp_path: Path, reference: tuple[np.ndarray, np.ndarray]) -> None:
     """Same arithmetic, but a GPU contracts multiply and add in other places: last bits of f32 differ, hence quanta."""
     sums, image = draw_elsewhere(tmp_path / "gpu.npz", arch="vulkan")
@@ -260,9 +269,7 @@ def test_f64_backend_draws_the_same(tmp_path: Path, reference: tuple[np.ndarray,
     assert np.abs(sums - reference[0]).max() <= 64
 
 
-def develop_twin(
-    linear: np.ndarray, table: np.ndarray, film_max: float, dither: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def develop_twin(linear: np.ndarray, table: np.ndarray, film_max: float, dither: bool) -> tuple[np.ndarray, np.ndarray]:
     """NumPy twin in float64: the picture, and how far each value is from the next rounding border [display steps]."""
     s = np.sqrt(np.clip(linear / film_max, 0, 1)) * (len(table) - 1)
     code = np.interp(s, np.arange(len(table)), table)
@@ -274,7 +281,9 @@ def develop_twin(
 
 @pytest.mark.parametrize("dither", [True, False])
 @pytest.mark.parametrize("lit", [True, False])
-def test_develop_matches_its_twin(film: Film, dots: Dots, crowd: dict[str, np.ndarray], dither: bool, lit: bool) -> None:
+def test_develop_matches_its_twin(
+    film: Film, dots: Dots, crowd: dict[str, np.ndarray], dither: bool, lit: bool
+) -> None:
     table, film_max = Look().display_table()
     background = np.random.default_rng(6).uniform(-0.2, 1.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
     sums = drawn(film, dots, **{**crowd, "energy": crowd["energy"] * 0.02})
@@ -285,7 +294,7 @@ def test_develop_matches_its_twin(film: Film, dots: Dots, crowd: dict[str, np.nd
         film.set_background(None)
     want, margin = develop_twin(sums * splat.QUANTUM + (background if lit else 0.0), table, film_max, dither)
     assert image.shape == (HEIGHT, WIDTH, 3) and image.dtype == np.uint8
-    assert len(np.unique(image)) > 100
+    assert len(np.unique(image)) > 30
     # f32 against float64: equal but for values within 1e-3 of a rounding border
     assert np.array_equal(image[margin > 1e-3], want[margin > 1e-3])
     assert (image == want).mean() > 0.999
@@ -337,9 +346,9 @@ def test_refusals(cpu: Backend, film: Film, dots: Dots) -> None:
         film.add(dots, 99999)
     with pytest.raises(InputError, match="do not fit"):
         dots.upload(np.zeros(20000), 0, sigma=1, energy=(1, 1, 1))
-    with pytest.raises(InputError, match="does not fit a film"):
+    with pytest.raises(InputError, match="must be finite and of the film's shape"):
         film.set_background(np.zeros((3, 3, 3)))
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match="must be finite"):
         film.set_background(np.full((HEIGHT, WIDTH, 3), np.nan))
     for table, film_max in [([0.0], 1.0), ([0.0, 1.0], 0.0), (np.zeros(9999), 1.0)]:
         with pytest.raises(InputError, match="are needed"):

@@ -7,9 +7,10 @@ its final name or not there: it is written under a temporary name in the same fo
 from __future__ import annotations
 
 from .base import Null, OutputFrame, Tee, Writer, pixel_hash
+from .ffmpeg import check_ffmpeg
 from .folder import claim_folder
 from .manifest import Manifest, jsonable, read_manifest
-from .mp4 import Mp4
+from .mp4 import Mp4, check_film
 from .pipeline import FrameRecord, Pipeline
 from .png import PngSequence, encode_png, is_whole_png
 from .states import States
@@ -25,6 +26,8 @@ __all__ = [
     "States",
     "Tee",
     "Writer",
+    "check_ffmpeg",
+    "check_film",
     "claim_folder",
     "encode_png",
     "is_whole_png",

@@ -14,6 +14,7 @@ from typing import IO
 from ..errors import BackendError
 
 _TAIL_BYTES = 8192
+_PROBE_TIMEOUT = 10.0  # [s]
 _HOW_TO_GET_IT = 'install it with pip install "imageio[ffmpeg]", name one in IMAGEIO_FFMPEG_EXE, or use --no-mp4'
 
 
@@ -28,6 +29,15 @@ def find_ffmpeg() -> str:
         return imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
         raise BackendError(f"ffmpeg was not found, and the film needs it: {_HOW_TO_GET_IT}") from error
+
+
+def check_ffmpeg() -> str:
+    """Return the path of an ffmpeg that starts. Raises BackendError if there is none."""
+    exe = find_ffmpeg()
+    probe = Encoder([exe, "-version"])
+    if probe.finish(_PROBE_TIMEOUT):
+        raise BackendError(f"{exe} does not work ({probe.last_words()}), and the film needs it: {_HOW_TO_GET_IT}")
+    return exe
 
 
 def encode_command(

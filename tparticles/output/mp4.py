@@ -146,6 +146,11 @@ class Mp4:
             self._temporary.unlink(missing_ok=True)
 
 
+def check_film(*, fps: Fraction, size: tuple[int, int]) -> None:
+    """Raise InputError where `Mp4` would, before a film is begun."""
+    _check(fps, size, 18, "medium", None)
+
+
 def _check(fps: Fraction, size: tuple[int, int], crf: int, preset: str, threads: int | None) -> None:
     if fps <= 0:
         raise InputError(f"fps is {fps}: must be above 0")

@@ -4,6 +4,9 @@ A cooling law gives the temperature [K] as a function of the temperature at birt
 kept; `Char` is a differential equation, so a system carries T in its state and every scheme integrates it.
 """
 
+# Pyright cannot follow the code of kernels: attributes from derived(), vectors made of tuples.
+# pyright: reportAttributeAccessIssue=false
+
 import math
 from typing import Annotated
 
@@ -11,6 +14,7 @@ import taichi as ti
 from pydantic import Field
 
 from ..spec import NonNegative, Positive, spec
+from .elementary import exp
 from .law import Bound
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # [W / (m^2 K^4)]
@@ -29,7 +33,7 @@ class Exponential:
     @ti.func
     def temperature(self, T0, age, size):
         """Return the temperature [K] at `age` [s]."""
-        return self.ambient + (T0 - self.ambient) * ti.exp(-age / self.time)
+        return self.ambient + (T0 - self.ambient) * exp(-age / self.time)
 
     def age_at(self, T: float, T0: float) -> float:
         """Return the age [s] at which a spark born at `T0` has cooled to `T` [K]; inf if it never does."""

@@ -6,17 +6,18 @@ inside an interval are stratified, so ids, times and attributes are the same for
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from .. import rng
 from ..errors import InputError
-from ..spec import Finite, NonNegative, Positive, spec
+from ..spec import Count, Finite, NonNegative, Positive, spec
 from .shapes import Cone, Point, Shape
 from .spread import Spread, SpreadLike, positive
 
@@ -33,7 +34,7 @@ def _to_keys(value: Any) -> Any:
 
 
 # A rate that changes with time: one number, or (time [s], value) pairs, linear in between and constant outside.
-Keyed = Annotated[tuple[tuple[Finite, NonNegative], ...], BeforeValidator(_to_keys)]
+Keyed = Annotated[tuple[tuple[Finite, NonNegative], ...], Field(min_length=1), BeforeValidator(_to_keys)]
 
 
 @spec
@@ -59,20 +60,16 @@ class Rate:
 class Burst:
     """`count` particles at the same `time` [s]."""
 
-    count: Annotated[int, BeforeValidator(lambda n: int(n) if isinstance(n, float) and n.is_integer() else n)]
+    count: Count
     time: Finite = 0.0
-
-    def __post_init__(self) -> None:
-        if self.count < 1:
-            raise InputError(f"Burst.count = {self.count}: at least 1 particle is needed")
 
 
 @spec
 class Emitter:
     """A source of particles.
 
-    `births`: a `PerFrame`, `Rate` or `Burst`, or a tuple of `Burst`s. Active from `start` to `stop` [s] (the film's end by default);
-    `preroll` [s] lets it run that long before the film begins, so that the first frame is not empty.
+    `births`: a `PerFrame`, `Rate` or `Burst`, or a tuple of `Burst`s. Active from `start` to `stop` [s] (the film's end by
+    default); `preroll` [s] lets it run that long before the film begins, so that the first frame is not empty.
     `shape` gives positions; `velocity` [m/s] (second-order systems only), `temperature` [K], `size` (diameter, [m]) and
     `lifetime` [s] (for ever, if None) have mean, variance and distribution.
 
@@ -101,9 +98,16 @@ class Emitter:
                 positive(here, name, value)
         if _nothing(self.births):
             raise InputError(f"{here} has nothing to emit: its births are zero at all times")
+        bursts = _bursts(self.births)
+        if bursts and not any(
+            self.first_time <= b.time < (math.inf if self.stop is None else self.stop) for b in bursts
+        ):
+            raise InputError(
+                f"{here} has nothing to emit: no burst falls between its first_time = {self.first_time:g} s and its stop"
+            )
         for name in ("mean", "rate"):
             keys = getattr(self.births, name, ((0.0, 1.0),))
-            if any(b[0] <= a[0] for a, b in zip(keys, keys[1:], strict=False)):
+            if any(b[0] <= a[0] for a, b in itertools.pairwise(keys)):
                 raise InputError(f"{here}: the times of births.{name} must increase")
 
     @property
@@ -119,6 +123,10 @@ def _nothing(births: Any) -> bool:
     return not any(value for _, value in keys) and not getattr(births, "variance", 0.0)
 
 
+def _bursts(births: Any) -> tuple[Burst, ...]:
+    return births if isinstance(births, tuple) else (births,) if isinstance(births, Burst) else ()
+
+
 @dataclass(frozen=True)
 class Births:
     """Particles born in one span of time: consecutive ids from `first`, birth times [s] in rising order, float64."""
@@ -130,13 +138,13 @@ class Births:
 class Schedule:
     """All births of one emitter up to the end of a film: intervals with a start, a length and a count each.
 
+    An interval that the film's end cuts is kept whole, so that the births do not depend on where the film ends.
     Births of an interval lie at start + length (j + u_j) / count, u_j the particle's own draw: stratified, so they rise.
     """
 
     def __init__(self, emitter: Emitter, *, key: int, end: float):
-        stop = min(end, emitter.stop if emitter.stop is not None else end)
         self.key = key
-        self.starts, self.lengths, counts = _intervals(emitter.births, key, emitter.first_time, stop)
+        self.starts, self.lengths, counts = _intervals(emitter, key, end)
         self.counts = counts
         self.ends = np.cumsum(counts)
         self.total = int(self.ends[-1]) if len(counts) else 0
@@ -168,31 +176,52 @@ class Schedule:
         return int(np.max(self.ends - before, initial=0))
 
 
-def _intervals(births: Any, key: int, start: float, stop: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return starts [s], lengths [s] and counts of the intervals of [start, stop)."""
+def _intervals(emitter: Emitter, key: int, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return starts [s], lengths [s] and counts of the intervals that begin before the film's `end` [s].
+
+    Raises:
+        InputError: more intervals or particles than can be numbered.
+    """
+    births, start = emitter.births, emitter.first_time
+    stop = math.inf if emitter.stop is None else emitter.stop
     if isinstance(births, Burst | tuple):
-        bursts = sorted(births if isinstance(births, tuple) else (births,), key=lambda b: b.time)
-        bursts = [b for b in bursts if start <= b.time < stop]
-        return (
-            np.array([b.time for b in bursts], float),
-            np.zeros(len(bursts)),
-            np.array([b.count for b in bursts], np.int64),
-        )
+        bursts = sorted((b for b in _bursts(births) if start <= b.time < min(stop, end)), key=lambda b: b.time)
+        counts = np.array([b.count for b in bursts], np.int64)
+        _check(emitter, "bursts", "particles", float(counts.sum()), 2**31)
+        return np.array([b.time for b in bursts], float), np.zeros(len(bursts)), counts
     length = births.frame if isinstance(births, PerFrame) else 1 / 24
-    count = max(0, math.ceil((stop - start) / length - 1e-9))
-    if count > _MOST_INTERVALS:
-        raise InputError(f"births in intervals of {length:g} s over {stop - start:g} s: that is {count} intervals")
-    k = np.arange(count)
+    needed = max(0.0, (min(stop, end) - start) / length - 1e-9)
+    _check(emitter, f"births in intervals of {length:g} s", "intervals", needed, _MOST_INTERVALS)
+    k = np.arange(math.ceil(needed))
     starts = start + k * length
     lengths = np.minimum(length, stop - starts)
-    if isinstance(births, PerFrame):
-        wanted = _value(births.mean, starts) + births.variance * (2 * rng.uniform(key ^ 0xA5A5A5A5, k, DRAW_TIME) - 1)
-    else:
-        wanted = _value(births.rate, starts + 0.5 * lengths) * length
-    whole = np.floor(np.cumsum(np.maximum(0.0, wanted) * (lengths / length)) + 1e-9).astype(np.int64)
-    return starts, lengths, np.diff(whole, prepend=0)
+    with np.errstate(over="ignore", invalid="ignore"):  # too many are refused below
+        if isinstance(births, PerFrame):
+            rand = 2 * rng.uniform(key ^ 0xA5A5A5A5, k, DRAW_TIME) - 1
+            begun = np.cumsum(
+                np.maximum(0.0, _value(births.mean, starts) + births.variance * rand) * (lengths / length)
+            )
+        else:
+            begun = _integral(births.rate, starts + lengths) - _integral(births.rate, np.array(start))
+    _check(emitter, "births", "particles", float(np.max(begun, initial=0.0)), 2**31)
+    return starts, lengths, np.diff(np.floor(begun + 1e-9).astype(np.int64), prepend=0)
+
+
+def _check(emitter: Emitter, what: str, unit: str, needed: float, most: int) -> None:
+    if not needed <= most:
+        raise InputError(
+            f"emitter '{emitter.name}': its {what} make {needed:.3g} {unit}, at most {most} can be numbered"
+        )
 
 
 def _value(keys: Sequence[tuple[float, float]], t: np.ndarray) -> np.ndarray:
     times, values = zip(*keys, strict=True)
     return np.interp(t, times, values)
+
+
+def _integral(keys: Sequence[tuple[float, float]], t: np.ndarray) -> np.ndarray:
+    """Return the integral of a keyed rate from its first key to `t`, exactly: trapezia between the keys."""
+    times, values = (np.array(column) for column in zip(*keys, strict=True))
+    to_key = np.concatenate([[0.0], np.cumsum(np.diff(times) * (values[1:] + values[:-1]) / 2)])
+    k = np.maximum(np.searchsorted(times, t, side="right") - 1, 0)
+    return to_key[k] + (t - times[k]) * (values[k] + _value(keys, t)) / 2

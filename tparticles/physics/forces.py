@@ -1,5 +1,6 @@
 """Forces per mass on particles with inertia."""
 
+import math
 from typing import Any
 
 import taichi as ti
@@ -7,7 +8,7 @@ from pydantic import SkipValidation
 
 from ..spec import Positive, Vec3, spec
 from .flows import Uniform
-from .law import Bound, check_flow
+from .law import Bound, check_flow, flow_terms, jacobian_bound
 
 
 @spec
@@ -42,5 +43,6 @@ class Drag:
         return (u - v) / self.time
 
     def jacobian_bound(self) -> Bound:
-        """Return 1 / time on the real axis; the flow's own gradient is slower and not counted."""
-        return Bound(real=1.0 / self.time)
+        """Return a bound on the roots of l^2 + l / time = g / time, g the flow's own bound: 1 / time in a uniform wind."""
+        g = jacobian_bound(flow_terms(self.flow)).real
+        return Bound(real=(1.0 + math.sqrt(1.0 + 4.0 * g * self.time)) / (2.0 * self.time))

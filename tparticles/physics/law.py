@@ -15,7 +15,7 @@ from ..errors import InputError
 class FlowLike(Protocol):
     """A velocity field: `velocity(self, t, x)` [m/s], a `@ti.func` of the time [s] and the position [m]."""
 
-    def velocity(self, t, x): ...
+    def velocity(self, t, x): ...  # noqa: D102
 
 
 @runtime_checkable
@@ -25,7 +25,7 @@ class ForceLike(Protocol):
     A force with an attribute `flow` is given the flow's velocity at the particle too: `acceleration(self, t, x, v, u)`.
     """
 
-    def acceleration(self, t, x, v): ...
+    def acceleration(self, t, x, v): ...  # noqa: D102
 
 
 class Flow:

@@ -8,6 +8,10 @@ point is at rest.) Derivatives are analytic. A distance ramp and the amplitude g
 divergence-free where they vary.
 """
 
+# Pyright cannot follow the code of kernels: attributes from derived(), vectors made of tuples.
+# pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportInvalidTypeForm=false
+
+import math
 from typing import Annotated
 
 import numpy as np
@@ -18,10 +22,15 @@ from ..rng import stream_key
 from ..spec import Count, Finite, NonNegative, Positive, Seed, Vec3, spec
 from .law import Bound, Flow
 
-# Root mean square of |curl psi| for unit amplitude and length, measured over 10^6 points (tests/physics/test_noise.py).
-_RMS = 1.0
-# Largest Frobenius norm of du/dx for unit amplitude and length, sampled over 10^7 points, with a tenth to spare.
-_JACOBIAN = 1.0
+# One octave of unit lattice and amplitude. Root mean square of |curl psi|: 4.38968 is the exact mean over the cell of the sum
+# of squared weights; a component of a has the mean square 1/3, and 8/15 where it swings.
+_RMS = math.sqrt(4.38968 / 3)
+_RMS_TURNING = math.sqrt(4.38968 * 8 / 15)
+# Least upper bounds over the cell and over all |a_i| <= 1 on the spectral norms of what du/dx is made of; samples of the noise
+# reach three quarters of the first. p = (-psi_y, psi_x, 0), e the unit vector along z.
+_GRADIENT = 21.4  # du/dx
+_SLOPE = 8.3  # u e^T + dp/dx
+_POTENTIAL = 1.13  # p e^T
 
 
 @ti.func
@@ -40,9 +49,13 @@ def _centred(h):
 
 
 @ti.func
-def _swing(s):
-    """Return a wave of period 2 with values in [-1, 1]: 4 s (1 - |s|) for s in [-1, 1), the C1 stand-in for sin(pi s)."""
-    s -= 2.0 * ti.floor(0.5 * s + 0.5)
+def _swing(h, whole, rest):
+    """Return a wave of the phase `whole` + `rest` [1/1024 of its period], ten hash bits ahead.
+
+    With s the distance from the middle of the period, in half periods: 4 s (1 - |s|), the C1 stand-in for sin(pi s).
+    The whole part is added to the bits before they are masked, which wraps the phase for nothing.
+    """
+    s = (ti.cast((h + whole) & 1023, ti.i32) + rest) * (1 / 512) - 1.0
     return 4.0 * s * (1.0 - ti.abs(s))
 
 
@@ -58,30 +71,36 @@ def potential(p, seed, phase, turning: ti.template(), with_value: ti.template())
     # quintic fade: u = r^3 (6 r^2 - 15 r + 10), C2 across cells
     u = r * r * r * (r * (r * 6.0 - 15.0) + 10.0)
     du = 30.0 * r * r * (r * (r - 2.0) + 1.0)
+    levels = 512.0 * (phase - 2.0 * ti.floor(0.5 * phase))
+    rest = levels - ti.floor(levels)
+    whole = ti.cast(ti.cast(levels, ti.i32), ti.u32)
     ux = uy = uz = 0.0
     px = py = pz = 0.0
-    for corner in ti.static(range(8)):
-        ox, oy, oz = ti.static(corner & 1, (corner >> 1) & 1, corner >> 2)
-        h = _corner_hash(c[0] + ox, c[1] + oy, c[2] + oz, seed)
-        a0, a1, a2 = _centred(h), _centred(h >> 10), _centred(h >> 20)
-        if ti.static(turning):
-            a0, a1, a2 = _swing(a0 + phase), _swing(a1 + phase), _swing(a2 + phase)
-        dx, dy, dz = r[0] - ox, r[1] - oy, r[2] - oz
-        wx = ox * u[0] + (1 - ox) * (1 - u[0])
-        wy = oy * u[1] + (1 - oy) * (1 - u[1])
-        wz = oz * u[2] + (1 - oz) * (1 - u[2])
-        gx, gy, gz = (2 * ox - 1) * du[0] * wy * wz, wx * (2 * oy - 1) * du[1] * wz, wx * wy * (2 * oz - 1) * du[2]
-        w = wx * wy * wz
-        # n = a x r; curl(w n) = grad w x n + 2 w a
-        nx, ny, nz = a1 * dz - a2 * dy, a2 * dx - a0 * dz, a0 * dy - a1 * dx
-        w2 = 2.0 * w
-        ux += gy * nz - gz * ny + w2 * a0
-        uy += gz * nx - gx * nz + w2 * a1
-        uz += gx * ny - gy * nx + w2 * a2
-        if ti.static(with_value):
-            px += w * nx
-            py += w * ny
-            pz += w * nz
+    for side in ti.static(range(4)):
+        ox, oy = ti.static(side & 1, side >> 1)
+        dx, dy = r[0] - ox, r[1] - oy
+        wx, gx = ox * u[0] + (1 - ox) * (1 - u[0]), (2 * ox - 1) * du[0]
+        wy, gy = oy * u[1] + (1 - oy) * (1 - u[1]), (2 * oy - 1) * du[1]
+        # what the two corners of an edge along z share
+        w2, gx2, gy2 = wx * wy, gx * wy, wx * gy
+        s2 = gx2 * dx + gy2 * dy + 2.0 * w2
+        for oz in ti.static(range(2)):
+            h = _corner_hash(c[0] + ox, c[1] + oy, c[2] + oz, seed)
+            a0, a1, a2 = _centred(h), _centred(h >> 10), _centred(h >> 20)
+            if ti.static(turning):
+                a0, a1, a2 = _swing(h, whole, rest), _swing(h >> 10, whole, rest), _swing(h >> 20, whole, rest)
+            dz, wz, gz = r[2] - oz, oz * u[2] + (1 - oz) * (1 - u[2]), (2 * oz - 1) * du[2]
+            # curl(w a x d) = grad w x (a x d) + 2 w a = a (grad w . d + 2 w) - d (grad w . a), d from the corner
+            along = s2 * wz + w2 * gz * dz
+            across = (gx2 * a0 + gy2 * a1) * wz + w2 * gz * a2
+            ux += a0 * along - dx * across
+            uy += a1 * along - dy * across
+            uz += a2 * along - dz * across
+            if ti.static(with_value):
+                w = w2 * wz
+                px += w * (a1 * dz - a2 * dy)
+                py += w * (a2 * dx - a0 * dz)
+                pz += w * (a0 * dy - a1 * dx)
     return ti.Vector([px, py, pz]), ti.Vector([ux, uy, uz])
 
 
@@ -117,7 +136,7 @@ class CurlNoise(Flow):
         frequency = self.lacunarity**o / self.length
         return {
             "frequency": frequency,
-            "strength": self.speed * self.gain**o / frequency / _RMS,
+            "strength": self.speed * self.gain**o / frequency / self._rms(),
             "rate": self.lacunarity ** (o * 2 / 3) * (2 / self.period if self.period else 0.0),
             # 24 bits: exact as a real of either precision
             "octave_seed": np.array([stream_key(self.seed, f"octave {i}") >> 8 for i in o], float),
@@ -141,7 +160,20 @@ class CurlNoise(Flow):
         return u
 
     def jacobian_bound(self) -> Bound:
-        """Return sampled bounds on the octaves' gradients, added up; the ramp is not counted."""
+        """Return the octaves' bounds on the spectral norm of du/dx, added up.
+
+        On the ramp s(z): d(s u + s' p) = s du/dx + s' (u e^T + dp/dx) + s'' p e^T, at the worst height.
+        """
         o = np.arange(self.octaves)
-        rate = float(np.sum(self.speed * (self.gain * self.lacunarity) ** o) / self.length * _JACOBIAN / _RMS)
+        frequency = self.lacunarity**o / self.length
+        rates = _GRADIENT * frequency
+        if self.ramp:
+            h = np.linspace(0.0, 1.0, 101)[:, None]
+            s, slope = h**3 * (h * (h * 6 - 15) + 10), 30 * (h * (h - 1)) ** 2 / self.ramp
+            curvature = np.abs(60 * h * (h * (2 * h - 3) + 1)) / self.ramp**2
+            rates = np.max(s * rates + slope * _SLOPE + curvature * _POTENTIAL / frequency, axis=0)
+        rate = float(np.sum(self.speed * self.gain**o / self._rms() * rates))
         return Bound(real=rate, imaginary=rate)
+
+    def _rms(self) -> float:
+        return _RMS_TURNING if self.period else _RMS

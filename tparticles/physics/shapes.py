@@ -1,5 +1,8 @@
 """Where particles are born and where they may live: points, lines, discs, spheres, boxes; and cones of velocity."""
 
+# Pyright cannot follow the code of kernels: attributes from derived(), vectors made of tuples.
+# pyright: reportAttributeAccessIssue=false, reportOperatorIssue=false
+
 import math
 from typing import Annotated, Any
 

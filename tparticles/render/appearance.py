@@ -39,7 +39,7 @@ class Glow:
 class Ramp:
     """A colour by age instead of a temperature: `colors` (sRGB, 0..1), evenly spaced over `span` [s], the last one for ever.
 
-    `brightness` is the film value of a dot that covers a pixel, 1 being film white; `fade_in`, `fade_out` and `growth` as in `Glow`.
+    `brightness` is the film value of a dot that covers a pixel, 1 being film white; the rest as in `Glow`.
     """
 
     colors: Annotated[tuple[Color, ...], Field(min_length=1)]
@@ -64,7 +64,7 @@ class GlowShader:
 
     def __init__(self, glow: Glow, look: Look):
         table = BlackbodyTable.build(adaptation=look.adaptation())
-        self.entries, self.rows = table.n, table.values
+        self.entries, self.rows = table.n, table.values.ravel()
         self.u_min, self.steps_per_u = float(table.u_min), float(table.steps_per_u)
         self.scale = look.exposure * glow.emissivity
 
@@ -86,7 +86,7 @@ class RampShader:
         stops = srgb_decode(np.array(ramp.colors, float)) * ramp.brightness
         stops = np.concatenate([stops, stops[-1:]])  # so that the last stop has a next one
         self.last = len(ramp.colors) - 1
-        self.stops = stops
+        self.stops = stops.ravel()
         self.pace = max(self.last, 1) / ramp.span
 
     @ti.func

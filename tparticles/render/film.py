@@ -4,7 +4,8 @@ A pixel channel is a sum of i64 multiples of 2^-24 of film white. Integer sums d
 so a frame has the same bits for any number of threads, any chunking of the dots and any split into shards (`merge`).
 
 On a CPU the rows are cut into bands. A counting sort lists every dot in each band that it touches, then each band is
-drawn by one thread, without atomics. On a GPU every dot is one thread that adds atomically. Same arithmetic, same sums.
+drawn by one thread, without atomics. On a GPU the pieces of all dots are numbered by a prefix sum, and each is a thread
+that adds atomically. Same arithmetic, same sums.
 """
 # pyright: reportIndexIssue=false, reportInvalidTypeForm=false, reportArgumentType=false
 
@@ -19,13 +20,18 @@ from tparticles.errors import InputError
 from tparticles.render import splat
 from tparticles.render.look import bayer
 
-_BAND = 16  # rows owned by one thread at a time
+_BAND_BITS = 4
+_BAND = 1 << _BAND_BITS  # rows owned by one thread at a time
 _CHUNK = 2048  # dots that one thread counts and lists at a time
 _CHUNKS = 512  # chunks in a round of the counting sort
 _ENTRIES = 1 << 21  # most dots listed in a round (64 MiB); more dots take more rounds
 _RECORD = 8  # f32 in a listed dot
 _TABLE = 1 << 13  # most entries of a display table
 _LANES = 24  # values developed together: 8 pixels, one row of the dither matrix
+_RUN = 256  # GPU: dots in a run of the prefix sum, and runs in a batch
+# GPU: pieces in a launch, no more than Taichi starts threads for a loop. Mesa's software Vulkan (22.3, Debian 12) drops
+# atomic additions from the third iteration of a loop on, and ends all loops of a thread after 65535 iterations.
+_LAUNCH = 1 << 16
 _GRAIN = 512  # Taichi gives one CPU thread at least this many iterations: so many make one coarse task
 _NAMES = ("u", "v", "du", "dv", "sigma", "r", "g", "b")
 
@@ -74,19 +80,9 @@ class Dots:
     def read(self, i):
         """Return dot i as a record of 8 f32 in the order of the fields, its energy in quanta, sigma in its limits."""
         top = ti.f32(splat.ENERGY_MAX)
-        scale = ti.f32(1.0 / splat.QUANTUM)
-        return ti.Vector(
-            [
-                self.u[i],
-                self.v[i],
-                self.du[i],
-                self.dv[i],
-                splat.limited(self.sigma[i]),
-                ti.min(ti.max(self.r[i], -top), top) * scale,
-                ti.min(ti.max(self.g[i], -top), top) * scale,
-                ti.min(ti.max(self.b[i], -top), top) * scale,
-            ]
-        )
+        energy = ti.min(ti.max(ti.Vector([self.r[i], self.g[i], self.b[i]]), -top), top) * ti.f32(1.0 / splat.QUANTUM)
+        path, sigma = ti.Vector([self.u[i], self.v[i], self.du[i], self.dv[i]]), splat.limited(self.sigma[i])
+        return ti.Vector([path[0], path[1], path[2], path[3], sigma, energy[0], energy[1], energy[2]])
 
     @ti.func
     def rows(self, i, width, height):
@@ -162,6 +158,28 @@ class _Bands:
 
 
 @ti.data_oriented
+class _Pieces:
+    """Scratch of the GPU path: where the pieces of each dot begin in the row of all pieces of a batch of dots."""
+
+    def __init__(self):
+        self.starts = ti.field(ti.i64, shape=_RUN * _RUN + 1)
+        self.totals = ti.field(ti.i64, shape=_RUN)
+
+    @ti.func
+    def find(self, piece):
+        """Return the dot that a piece belongs to: starts[dot] <= piece < starts[dot + 1]."""
+        low, high = 0, _RUN * _RUN
+        for _ in range(ti.static((_RUN * _RUN).bit_length())):
+            middle = (low + high) >> 1
+            if high - low > 1:
+                if self.starts[middle] <= piece:
+                    low = middle
+                else:
+                    high = middle
+        return low
+
+
+@ti.data_oriented
 class Film:
     """A film of `width` x `height` pixels, 3 channels, in linear sRGB relative to film white.
 
@@ -176,11 +194,12 @@ class Film:
             raise InputError(f"film size {width}x{height} is not allowed (at most {2**30 // 3} pixels)")
         self.width, self.height = width, height
         self.threads = backend.current().threads
-        self.is_cpu = backend.current().is_cpu
+        self.pieces: Any = None if backend.current().is_cpu else _Pieces()
         self.bands_per_thread = -(-height // (_BAND * self.threads))
         self.bands = _Bands(size, height, capacity)
         self.light = self.bands.light
         self._background: Any = None
+        self._lit = False
 
     def clear(self) -> None:
         """Make the film black."""
@@ -190,8 +209,11 @@ class Film:
         """Add the first `count` of `dots`. Raises `InputError` unless 0 <= count <= dots.capacity."""
         if not 0 <= count <= dots.capacity:
             raise InputError(f"count = {count} dots is not allowed (0 to the capacity {dots.capacity})")
-        if not self.is_cpu:
-            self._add_atomic(dots, count)
+        if self.pieces is not None:
+            for first in range(0, count, _RUN * _RUN):
+                total = self._count_pieces(dots, first, count)
+                for piece in range(0, total, _LAUNCH):
+                    self._add_pieces(dots, first, piece, min(_LAUNCH, total - piece))
             return
         first = 0
         while first < count:
@@ -219,19 +241,17 @@ class Film:
 
         Raises `InputError` if the shape differs or a value is not finite.
         """
+        self._lit = image is not None
         if image is None:
-            self._background = None
             return
         pixels = np.ascontiguousarray(image, dtype=np.float32)
-        if pixels.shape != (shape := (self.height, self.width, 3)):
-            raise InputError(f"a background of shape {pixels.shape} does not fit a film of shape {shape}")
-        if not np.isfinite(pixels).all():
-            raise InputError("the background holds a value that is not finite")
+        shape = (self.height, self.width, 3)
+        if pixels.shape != shape or not np.isfinite(pixels).all():
+            raise InputError(f"a background of shape {pixels.shape} must be finite and of the film's shape, {shape}")
         if self._background is None:
             self._background = ti.field(ti.f32, shape=self.stride * self.height)
-        self._background.from_numpy(
-            np.pad(pixels.reshape(self.height, -1), ((0, 0), (3 * splat.PAD, 3 * splat.PAD))).ravel()
-        )
+        side = 3 * splat.PAD
+        self._background.from_numpy(np.pad(pixels.reshape(self.height, -1), ((0, 0), (side, side))).ravel())
 
     def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (height, width, 3), a new array.
@@ -250,9 +270,8 @@ class Film:
             )
         pattern = np.repeat(bayer() if dither else np.zeros((8, 8)), 3).astype(np.float32)
         out = np.empty((self.height, self.width, 3), dtype=np.uint8)
-        lit = self._background is not None
-        background = self._background if lit else self.light
-        self._develop(out.reshape(-1), values, values.size, film_max, pattern, background, lit)
+        background = self._background if self._lit else self.light
+        self._develop(out.reshape(-1), values, values.size, film_max, pattern, background, self._lit)
         return out
 
     @ti.kernel
@@ -261,11 +280,39 @@ class Film:
             self.light[i] = 0
 
     @ti.kernel
-    def _add_atomic(self, dots: ti.template(), count: ti.i32):
-        for i in range(count):
-            first, last = dots.rows(i, self.width, self.height)
-            if first <= last:
-                self.draw(dots.read(i), True, 0, self.height)
+    def _count_pieces(self, dots: ti.template(), start: ti.i32, count: ti.i32) -> ti.i64:
+        """Prefix sums of the pieces of dots from `start` on, runs of _RUN dots at a time; return their total."""
+        for run in range(_RUN):
+            total = ti.i64(0)
+            for k in range(_RUN):
+                i = start + run * _RUN + k
+                self.pieces.starts[run * _RUN + k] = total
+                if i < count:
+                    first, last = dots.rows(i, self.width, self.height)
+                    if first <= last:
+                        u, v, du, dv, sigma, _r, _g, _b = dots.read(i)
+                        total += splat.streak_pieces((self.width, self.height), u, v, du, dv, sigma)
+            self.pieces.totals[run] = total
+        for _ in range(1):
+            total = ti.i64(0)
+            for run in range(_RUN):
+                count_here = self.pieces.totals[run]
+                self.pieces.totals[run] = total
+                total += count_here
+            self.pieces.starts[_RUN * _RUN] = total
+        for k in range(_RUN * _RUN):
+            self.pieces.starts[k] = self.pieces.starts[k] + self.pieces.totals[k // _RUN]
+        return self.pieces.starts[_RUN * _RUN]
+
+    @ti.kernel
+    def _add_pieces(self, dots: ti.template(), start: ti.i32, first: ti.i64, count: ti.i32):
+        for k in range(count):
+            piece = first + k
+            dot = self.pieces.find(piece)
+            u, v, du, dv, sigma, r, g, b = dots.read(start + dot)
+            left = piece - self.pieces.starts[dot]
+            size = (self.width, self.height)
+            splat.draw_streak_piece(self.light, size, left, u, v, du, dv, sigma, ti.Vector([r, g, b]))
 
     @ti.kernel
     def _add_round(self, dots: ti.template(), start: ti.i32, count: ti.i32) -> ti.i32:
@@ -279,7 +326,7 @@ class Film:
                 for i in range(start + chunk * _CHUNK, ti.min(start + (chunk + 1) * _CHUNK, count)):
                     first, last = dots.rows(i, self.width, self.height)
                     if first <= last:
-                        for band in range(first // _BAND, last // _BAND + 1):
+                        for band in range(first >> _BAND_BITS, (last >> _BAND_BITS) + 1):
                             self.bands.counts[chunk, band] = self.bands.counts[chunk, band] + 1
         for _ in range(1):
             self.bands.fit(chunks)
@@ -290,7 +337,7 @@ class Film:
                     first, last = dots.rows(i, self.width, self.height)
                     if first <= last:
                         record = dots.read(i)
-                        for band in range(first // _BAND, last // _BAND + 1):
+                        for band in range(first >> _BAND_BITS, (last >> _BAND_BITS) + 1):
                             self.bands.append(chunk, band, record)
         for task in range(self.threads * self.bands_per_thread * _GRAIN):
             if task % _GRAIN == 0:
@@ -302,15 +349,10 @@ class Film:
                     bottom = ti.min(top + _BAND, self.height)
                     for k in range(self.bands.starts[band], self.bands.starts[band + 1]):
                         record = ti.Vector([self.bands.records[k * _RECORD + j] for j in range(_RECORD)])
-                        self.draw(record, False, top, bottom)
+                        u, v, du, dv, sigma, r, g, b = record
+                        size, energy = (self.width, self.height), ti.Vector([r, g, b])
+                        splat.draw_streak(self.light, size, top, bottom, u, v, du, dv, sigma, energy)
         return self.bands.taken[0]
-
-    @ti.func
-    def draw(self, record, atomic: ti.template(), top, bottom):
-        """Draw a dot of `Dots.read` into the rows top <= y < bottom."""
-        u, v, du, dv, sigma, r, g, b = record
-        energy = ti.Vector([r, g, b])
-        splat.draw_streak(self.light, atomic, self.width, top, bottom, u, v, du, dv, sigma, energy)
 
     @ti.kernel
     def _read(self, out: ti.types.ndarray(ti.i64, 3)):
@@ -339,22 +381,20 @@ class Film:
             self.bands.table[i] = table[i]
         for i in range(8 * _LANES):
             self.bands.pattern[i] = pattern[i]
-        for y in range(self.height):
-            scale = ti.cast(n - 1, ti.f32)
-            per_max = ti.f32(1.0) / film_max
-            for block in range((self.width + 7) // 8):
-                code = ti.Vector([ti.i32(0)] * _LANES)
-                start = (y * self.stride + splat.PAD * 3 + block * _LANES) & splat.NO_WRAP
-                for lane in range(_LANES):
-                    value = ti.cast(self.light[start + lane], ti.f32) * ti.f32(splat.QUANTUM)
-                    if ti.static(lit):
-                        value += background[start + lane]
-                    s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
-                    k = ti.min(ti.cast(s, ti.i32), n - 2)
-                    low, high = self.bands.table[k], self.bands.table[k + 1]
-                    level = low + (s - ti.cast(k, ti.f32)) * (high - low)
-                    level += self.bands.pattern[(y & 7) * _LANES + lane] + ti.f32(0.5)
-                    code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
-                first = (y * self.width + block * 8) * 3
-                for lane in range(ti.min(_LANES, (self.width - block * 8) * 3)):
-                    out[first + lane] = ti.cast(code[lane], ti.u8)
+        for y, block in ti.ndrange(self.height, (self.width + 7) // 8):
+            scale, per_max = ti.cast(n - 1, ti.f32), ti.f32(1.0) / film_max
+            code = ti.Vector([ti.i32(0)] * _LANES)
+            start = (y * self.stride + splat.PAD * 3 + block * _LANES) & splat.NO_WRAP
+            for lane in range(_LANES):
+                value = ti.cast(self.light[start + lane], ti.f32) * ti.f32(splat.QUANTUM)
+                if ti.static(lit):
+                    value += background[start + lane]
+                s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
+                k = ti.min(ti.cast(s, ti.i32), n - 2)
+                low, high = self.bands.table[k], self.bands.table[k + 1]
+                level = low + (s - ti.cast(k, ti.f32)) * (high - low)
+                level += self.bands.pattern[(y & 7) * _LANES + lane] + ti.f32(0.5)
+                code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
+            first = (y * self.width + block * 8) * 3
+            for lane in range(ti.min(_LANES, (self.width - block * 8) * 3)):
+                out[first + lane] = ti.cast(code[lane], ti.u8)

@@ -1,4 +1,5 @@
 """From particles to dots on the film: perspective, footprint, streak, colour."""
+# pyright: reportInvalidTypeForm=false
 
 import math
 from typing import Any
@@ -6,7 +7,8 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .appearance import Appearance
+from .appearance import Appearance, Glow
+from .blackbody import BlackbodyTable
 from .film import Dots
 from .look import Look
 
@@ -32,6 +34,8 @@ class Projector:
         self.view = view
         self.shader = view.parameters.bind(appearance.prepare(look))
         self.appearance = view.parameters.bind(appearance)
+        if isinstance(appearance, Glow):
+            self.frost = view.parameters.table(frost_table(look, appearance.emissivity))
         self.fades = appearance.fade_in > 0 or appearance.fade_out > 0
 
     @ti.kernel
@@ -90,16 +94,40 @@ class Projector:
         return a * a * (3.0 - 2.0 * a) * b * b * (3.0 - 2.0 * b)
 
     @ti.func
-    def brightest(self, camera: ti.template(), T, size, x):
-        """Return the largest film value in the brightest pixel of a still dot centred on a pixel."""
+    def coldest(self, camera: ti.template(), size, x):
+        """Return the temperature [K] below which a dot of diameter `size` [m] at `x` [m] shows nothing (`frost_table`)."""
         depth, _u, _v = self.place(camera, ti.cast(x, ti.f32))
         diameter = ti.cast(size, ti.f32) * camera[12] / depth
-        # peak of the normalised footprint: 1 / sum_i exp(-i^2 / (2 s^2)) on each axis; 1 / (sqrt(2 pi) s) once it is wide
-        s = self.sigma(diameter)
-        q = ti.exp(-0.5 / (s * s))
-        axis = ti.select(s > 1.0, ti.static(math.sqrt(2 * math.pi)) * s, 1.0 + 2.0 * (q + q**4 + q**9))
-        area = ti.static(math.pi / 4) * diameter * diameter
-        return self.shader.color(T, 0.0).max() * area / (axis * axis)
+        low, high = ti.static(2.0**_FROST_LOW, 2.0**_FROST_HIGH)
+        # the bits of a float order like the float: the upper ones are the table's index, the others the weight
+        bits = ti.bit_cast(ti.cast(ti.math.clamp(diameter, low, high), ti.f32), ti.i32)
+        bits -= ti.static((_FROST_LOW + 127) << 23)
+        i = ti.min(bits >> _FROST_SHIFT, ti.static(len(_FROST_NODES) - 2))
+        w = ti.cast(bits - (i << _FROST_SHIFT), ti.f32) * ti.static(2.0**-_FROST_SHIFT)
+        return self.frost[i] * (1.0 - w) + self.frost[i + 1] * w
+
+
+# Nodes of the table over the diameter [px]: eight in every power of two.
+_FROST_LOW, _FROST_HIGH, _FROST_SHIFT = -12, 12, 20
+_FROST_NODES = np.ldexp(1 + np.arange(8) / 8, np.arange(_FROST_LOW, _FROST_HIGH)[:, None]).ravel()
+_FROST_NODES = np.append(_FROST_NODES, 2.0**_FROST_HIGH)
+
+
+def frost_table(look: Look, emissivity: float) -> np.ndarray:
+    """Return for each node of the diameter [px] the temperature [K] below which a still dot shows nothing.
+
+    Nothing: its brightest pixel, that of a dot centred on a pixel, stays below half a display step in each channel. Where even
+    12000 K shows nothing the answer is 12000, where 500 K shows it is 500.
+    """
+    table = BlackbodyTable.build(adaptation=look.adaptation())
+    T = np.linspace(table.T_MIN, table.T_MAX, 20_000)
+    color = look.exposure * emissivity * table.lookup(T).max(axis=-1)
+    sigma = np.sqrt(FILTER_SIGMA**2 + _FROST_NODES**2 / 16)
+    # peak of the normalised footprint: 1 / sum_i exp(-i^2 / (2 sigma^2)) on each axis; 1 / (sqrt(2 pi) sigma) once it is wide
+    taps = np.exp(-0.5 * (np.arange(-8, 9)[:, None] / np.minimum(sigma, 2.0)) ** 2).sum(axis=0)
+    axis = np.where(sigma < 2.0, taps, math.sqrt(2 * math.pi) * sigma)
+    share = math.pi / 4 * _FROST_NODES**2 / axis**2
+    return np.interp(np.log(look.threshold() / share), np.log(color), T)
 
 
 def camera_row(pose: Any, width: int, height: int) -> np.ndarray:

@@ -13,10 +13,9 @@ two equal dots in each. The rule is exact for cubics, so the ends of the streak 
 Gaussian its ripple between panels is below 1e-3. Energy is conserved because every dot conserves it, all directions are
 alike, and a streak of length zero is the dot itself. tests/render/test_film.py states the error.
 
-The functions here run on a CPU and on a GPU. With `atomic` false the caller owns the rows and nothing else writes them.
 Rows of the film are padded by `PAD` pixels on both sides, so that a block of pixels never has to be clipped in x.
 """
-# pyright: reportInvalidTypeForm=false
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
 import taichi as ti
 
@@ -109,49 +108,79 @@ def block_row(w, energy):
 
 
 @ti.func
-def add_row(film: ti.template(), atomic: ti.template(), base, row, weight):
-    """Add round(row * weight) to the film from index `base` on."""
-    if ti.static(atomic):
-        for lane in ti.static(range(3 * BLOCK)):
-            film[base + lane] += ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
-    else:
-        # The mask changes nothing, but it tells LLVM that start + lane cannot wrap: without it no vector instructions.
-        start = base & NO_WRAP
-        for lane in range(LANES):
-            q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
-            film[start + lane] = film[start + lane] + q
+def add_row(film: ti.template(), base, row, weight):
+    """Add round(row * weight) to the film from index `base` on, not atomically: the caller must own these pixels."""
+    # The mask changes nothing, but it tells LLVM that start + lane cannot wrap: without it no vector instructions.
+    start = base & NO_WRAP
+    for lane in range(LANES):
+        q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
+        film[start + lane] = film[start + lane] + q
 
 
 @ti.func
-def draw_dot(film: ti.template(), atomic: ti.template(), width, top, bottom, u, v, sigma, energy):
+def across_block(a, d, k0, R):
+    """Return the weights of pixels k0..k0+4 relative to pixel 0, zero beyond R."""
+    w = ti.Vector([ti.f32(0.0)] * BLOCK)
+    for k in ti.static(range(BLOCK)):
+        if k0 + k <= R:
+            w[k] = gauss(a, d, k0 + k)
+    return w
+
+
+@ti.func
+def draw_dot(film: ti.template(), width, top, bottom, u, v, sigma, energy):
     """Add one dot to the rows top <= y < bottom of a film of `width` pixels. `energy` is in quanta, a 3-vector."""
     stride = (width + 2 * PAD) * 3
-    column, line = ti.floor(u), ti.floor(v)
-    x, y, R = ti.cast(column, ti.i32), ti.cast(line, ti.i32), radius(sigma)
-    dx, dy = column + ti.f32(0.5) - u, line + ti.f32(0.5) - v
+    x, y, R = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32), radius(sigma)
+    dx, dy = ti.floor(u) + ti.f32(0.5) - u, ti.floor(v) + ti.f32(0.5) - v
     a = ti.f32(0.5) / (sigma * sigma)
     first, last = ti.max(top, y - R), ti.min(bottom, y + R + 1)
     if first < last and x + R >= 0 and x - R < width:
         if R == 2:
             q = exponential(ti.f32(-2.0) * a)
-            across, down = five_weights(a, q, dx), five_weights(a, q, dy)
-            row = block_row(across, energy)
+            down = five_weights(a, q, dy)
+            row = block_row(five_weights(a, q, dx), energy)
             base = (x - 2 + PAD) * 3
             for j in range(first, last):
-                add_row(film, atomic, j * stride + base, row, down[j - y + 2])
+                add_row(film, j * stride + base, row, down[j - y + 2])
         else:
             scaled = energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R))
-            # Blocks k0..k0+4 with k0 = -R + 5 i; those that touch a pixel 0 <= x + k < width.
-            for i in range(ti.max(0, R - x) // BLOCK, (ti.min(2 * R, width - 1 - x + R)) // BLOCK + 1):
+            # Blocks k0..k0+4 with k0 = 5 i - R; those that touch a pixel 0 <= x + k < width.
+            for i in range(ti.max(0, R - x) // BLOCK, ti.min(2 * R, width - 1 - x + R) // BLOCK + 1):
                 k0 = BLOCK * i - R
-                across = ti.Vector([ti.f32(0.0)] * BLOCK)
-                for k in ti.static(range(BLOCK)):
-                    if k0 + k <= R:
-                        across[k] = gauss(a, dx, k0 + k)
-                row = block_row(across, scaled)
+                row = block_row(across_block(a, dx, k0, R), scaled)
                 base = (x + k0 + PAD) * 3
                 for j in range(first, last):
-                    add_row(film, atomic, j * stride + base, row, gauss(a, dy, j - y))
+                    add_row(film, j * stride + base, row, gauss(a, dy, j - y))
+
+
+@ti.func
+def piece_count(sigma):
+    """Return how many pieces, each one block wide and one row high, a dot consists of."""
+    rows = 2 * radius(sigma) + 1
+    return rows * ((rows + BLOCK - 1) // BLOCK)
+
+
+@ti.func
+def draw_piece(film: ti.template(), size, piece, u, v, sigma, energy):
+    """Add one piece of a dot, atomically: `draw_dot` for a GPU, same arithmetic, no loop around the additions."""
+    x, y, R = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32), radius(sigma)
+    dx, dy = ti.floor(u) + ti.f32(0.5) - u, ti.floor(v) + ti.f32(0.5) - v
+    a = ti.f32(0.5) / (sigma * sigma)
+    k0, j = piece // (2 * R + 1) * BLOCK - R, piece % (2 * R + 1) - R
+    if y + j >= 0 and y + j < size[1] and x + k0 + BLOCK > 0 and x + k0 < size[0]:
+        row = ti.Vector([ti.f32(0.0)] * LANES)
+        weight = ti.f32(0.0)
+        if R == 2:
+            q = exponential(ti.f32(-2.0) * a)
+            row = block_row(five_weights(a, q, dx), energy)
+            weight = five_weights(a, q, dy)[j + 2]
+        else:
+            row = block_row(across_block(a, dx, k0, R), energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R)))
+            weight = gauss(a, dy, j)
+        base = ((y + j) * (size[0] + 2 * PAD) + x + k0 + PAD) * 3
+        for lane in ti.static(range(3 * BLOCK)):
+            film[base + lane] += ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
 
 
 @ti.func
@@ -165,16 +194,6 @@ def node_count(du, dv, sigma):
 
 
 @ti.func
-def node(i, n):
-    """Return where dot i of n lies on the segment, 0..1."""
-    s = ti.f32(0.5)
-    if n > 1:
-        side = ti.cast(2 * (i & 1) - 1, ti.f32)
-        s = (ti.cast(i >> 1, ti.f32) + (ti.f32(0.5) + ti.f32(_NODE) * side)) / ti.cast(n >> 1, ti.f32)
-    return s
-
-
-@ti.func
 def clip(low, high, p, dp, first, last):
     """Return the part of 0 <= low <= s <= high <= 1 where first <= p + s dp <= last; empty if low > high."""
     if ti.abs(dp) > ti.f32(1e-3):
@@ -184,19 +203,78 @@ def clip(low, high, p, dp, first, last):
 
 
 @ti.func
-def draw_streak(film: ti.template(), atomic: ti.template(), width, top, bottom, u, v, du, dv, sigma, energy):
-    """Add the dot at (u, v), or its streak towards (u + du, v + dv), to the rows top <= y < bottom."""
-    n = node_count(du, dv, sigma)
+def visible_nodes(n, sigma, u, du, width, v, dv, top, bottom):
+    """Return first, last: only nodes first <= i < last of n can touch columns 0..width and rows top..bottom."""
     first, last = 0, n
     if n > 2:
-        # A giant streak has millions of nodes, of which few are on the film. One pixel and one node of margin.
         reach = ti.cast(radius(sigma) + 2, ti.f32)
         low, high = ti.f32(0.0), ti.f32(1.0)
         low, high = clip(low, high, u, du, -reach, ti.cast(width, ti.f32) + reach)
         low, high = clip(low, high, v, dv, ti.cast(top, ti.f32) - reach, ti.cast(bottom, ti.f32) + reach)
         first = ti.max(0, ti.cast(ti.floor(low * ti.cast(n, ti.f32)), ti.i32) - 2)
         last = ti.min(n, ti.cast(ti.ceil(high * ti.cast(n, ti.f32)), ti.i32) + 2)
+    return first, last
+
+
+@ti.func
+def anchor(n, size, u, v, du, dv, sigma):
+    """Return (u, v, origin): where to count the panels of a streak from, and the number of the panel that begins there.
+
+    A giant streak has millions of nodes, of which few are on the film. Counting from the first of these lets f32 resolve
+    the distances; it must not depend on the rows that are being drawn, or the bands would not fit together.
+    """
+    origin = 0
+    if n > 2:
+        origin = visible_nodes(n, sigma, u, du, size[0], v, dv, 0, size[1])[0] >> 1
+        if origin > 0:
+            s = ti.cast(origin, ti.f32) * ti.f32(2.0) / ti.cast(n, ti.f32)
+            # Rounding to 1/64 px keeps fast-math from merging this sum with the one for the node.
+            u = ti.floor((u + s * du) * ti.f32(64.0)) * ti.f32(1.0 / 64.0)
+            v = ti.floor((v + s * dv) * ti.f32(64.0)) * ti.f32(1.0 / 64.0)
+    return u, v, origin
+
+
+@ti.func
+def node(i, n, origin):
+    """Return how far node i of n is from the start of panel `origin`; 1 is the length of the streak."""
+    s = ti.f32(0.5)
+    if n > 1:
+        # The nodes of panel p: (p + 1/2 -+ 1 / (2 sqrt 3)) / panels
+        p, side = ti.cast((i >> 1) - origin, ti.f32), ti.cast(2 * (i & 1) - 1, ti.f32)
+        s = (p + (ti.f32(0.5) + ti.f32(_NODE) * side)) * (ti.f32(2.0) / ti.cast(n, ti.f32))
+    return s
+
+
+@ti.func
+def draw_streak(film: ti.template(), size, top, bottom, u, v, du, dv, sigma, energy):
+    """Add the dot at (u, v), or its streak towards (u + du, v + dv), to the rows top <= y < bottom.
+
+    `size` is the (width, height) of the film.
+    """
+    n = node_count(du, dv, sigma)
+    u0, v0, origin = anchor(n, size, u, v, du, dv, sigma)
+    first, last = visible_nodes(n, sigma, u, du, size[0], v, dv, top, bottom)
     share = energy / ti.cast(n, ti.f32)
     for i in range(first, last):
-        s = node(i, n)
-        draw_dot(film, atomic, width, top, bottom, u + s * du, v + s * dv, sigma, share)
+        s = node(i, n, origin)
+        draw_dot(film, size[0], top, bottom, u0 + s * du, v0 + s * dv, sigma, share)
+
+
+@ti.func
+def streak_pieces(size, u, v, du, dv, sigma):
+    """Return how many pieces the part of a streak has that may be on the film, i64."""
+    first, last = visible_nodes(node_count(du, dv, sigma), sigma, u, du, size[0], v, dv, 0, size[1])
+    return ti.cast(ti.max(last - first, 0), ti.i64) * ti.cast(piece_count(sigma), ti.i64)
+
+
+@ti.func
+def draw_streak_piece(film: ti.template(), size, piece, u, v, du, dv, sigma, energy):
+    """Add one piece of those that `streak_pieces` counted, atomically."""
+    n = node_count(du, dv, sigma)
+    u0, v0, origin = anchor(n, size, u, v, du, dv, sigma)
+    first, _ = visible_nodes(n, sigma, u, du, size[0], v, dv, 0, size[1])
+    pieces = ti.cast(piece_count(sigma), ti.i64)
+    s = node(first + ti.cast(piece // pieces, ti.i32), n, origin)
+    draw_piece(
+        film, size, ti.cast(piece % pieces, ti.i32), u0 + s * du, v0 + s * dv, sigma, energy / ti.cast(n, ti.f32)
+    )

@@ -1,0 +1,1 @@
+"""Interpreters of schemes, and the choice of steps."""

@@ -6,6 +6,9 @@ lives in local vectors that the compiler vectorises over (LANES = 16 on a CPU); 
 A lane whose particle has arrived takes steps of zero length, so no particle depends on its neighbours.
 """
 
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# Kernel signatures are Taichi's, and traced values have no Python type.
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +17,7 @@ import taichi as ti
 
 from .. import backend
 from ..binding import Parameters
+from ..errors import InputError
 from ..schemes import OpKind, Scheme
 from ..systems.attributes import Columns
 from ..systems.terms import FLOW_REGISTER, heat
@@ -58,6 +62,8 @@ class FusedStepper:
         lanes: int | None = None,
     ):
         self.lanes = lanes or backend.current().lanes
+        if columns.padded % self.lanes:
+            raise InputError(f"blocks of {self.lanes} lanes do not fit columns that are padded to {columns.padded}")
         self.columns = columns
         self.clamp = CLAMPS[clamp]
         self.parameters = Parameters()
@@ -163,8 +169,9 @@ class FusedStepper:
                     self._evaluate(op, ops, coefficients, z, k, u, h, start, left, age, sizes, ti.cast(t0, float))
             longest = 0.0
             for lane in range(lanes):
+                # A lane that has arrived keeps its state to the bit, even where 0 * k is NaN.
                 for d in ti.static(range(m)):
-                    z0[d][lane] = z[d][lane]
+                    z0[d][lane] = ti.select(h[lane] > 0.0, z[d][lane], z0[d][lane])
                 steps += ti.select(h[lane] > 0.0, 1, 0)
                 shortest_step = ti.select(h[lane] > 0.0, ti.min(shortest_step, h[lane]), shortest_step)
                 longest_step = ti.max(longest_step, h[lane])

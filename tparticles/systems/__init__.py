@@ -1,0 +1,1 @@
+"""Particle systems: their attributes, equations, births and deaths. They own the fields."""

@@ -54,6 +54,12 @@ def bytes_per_particle(names: Iterable[str], precision: str) -> int:
     return sum(ATTRIBUTES[name].bytes(precision) for name in names)
 
 
+def bytes_allocated(names: Iterable[str], precision: str) -> int:
+    """Return the bytes that a slot for one particle takes: its attributes, compaction's scratch and the mark of the dead."""
+    kinds = {precision if ATTRIBUTES[name].kind == "real" else ATTRIBUTES[name].kind for name in names}
+    return bytes_per_particle(names, precision) + sum(int(kind[1:]) // 8 for kind in kinds) + 4
+
+
 class Columns:
     """The particles' attributes as a structure of arrays: each scalar component in its own contiguous field.
 
@@ -71,7 +77,7 @@ class Columns:
             raise InputError(
                 f"{capacity} particles at once: at most {2**31 - 64} fit one group; split it into several groups"
             )
-        lanes = 16
+        lanes = backend.current().lanes
         self.capacity = capacity
         self.padded = max(1, -(-capacity // lanes)) * lanes
         self._fields = {

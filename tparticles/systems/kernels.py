@@ -1,5 +1,7 @@
 """Kernels of a population: sampling newborns, and compaction."""
 
+# pyright: reportInvalidTypeForm=false
+
 import taichi as ti
 
 from .. import backend

@@ -68,16 +68,17 @@ class Population:
         self.born += self.alive - before
         return self.alive - before
 
-    def bury(self, dead: Any) -> int:
-        """Remove the particles whose entry in the field `dead` (i32, 0 or 1) is set; the others keep their order."""
-        if not self.alive:
-            return 0
-        if self._compaction is None:
-            self._compaction = Compaction(self.columns, dead)
-        survivors = self._compaction.run(self.alive)
-        died = self.alive - survivors
-        self.alive = survivors
+    def bury(self, dead: Any, died: int) -> int:
+        """Remove the `died` particles whose entry in the field `dead` (i32, 0 or 1) is set; the others keep their order.
+
+        Raises:
+            RunError: alive is no longer born - died.
+        """
         self.died += died
+        if died:
+            if self._compaction is None:
+                self._compaction = Compaction(self.columns, dead)
+            self.alive = self._compaction.run(self.alive)
         if self.alive != self.born - self.died:
             raise RunError(f"group '{self.name}': {self.alive} alive, but {self.born} born and {self.died} died")
         return died
@@ -93,4 +94,12 @@ def schedules(name: str, emitters: tuple[Emitter, ...], *, seed: int, end: float
     names = [e.name for e in emitters]
     for twin in {n for n in names if names.count(n) > 1}:
         raise InputError(f"group '{name}' has two emitters named '{twin}': a name keys the random numbers")
-    return [Schedule(e, key=rng.stream_key(seed, f"{name}/{e.name}"), end=end) for e in emitters]
+    # "a/b" with "c" and "a" with "b/c" are two streams
+    found = [Schedule(e, key=rng.stream_key(seed, f"{name.replace('/', '//')}/{e.name}"), end=end) for e in emitters]
+    for emitter, schedule in zip(emitters, found, strict=True):
+        if schedule.total * len(emitters) >= 2**31:
+            raise InputError(
+                f"group '{name}', emitter '{emitter.name}': {schedule.total} births leave no ids (32 bits); "
+                "give a lower rate, a shorter film, or several groups"
+            )
+    return found

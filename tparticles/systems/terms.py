@@ -5,6 +5,8 @@ state, u the flow's velocity at the particle, q = (age, size). It runs `passes` 
 loop over passes stays outside the lane loop, where it costs neither vectorisation nor compile time.
 """
 
+# pyright: reportInvalidTypeForm=false
+
 from dataclasses import dataclass
 from typing import Any
 

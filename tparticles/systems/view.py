@@ -1,5 +1,7 @@
 """Reading a particle inside a kernel, whether a value is stored, common to the group, or a closed form of the age."""
 
+# pyright: reportInvalidTypeForm=false
+
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ class View:
         self.columns = columns
         self.parameters = parameters
         self.constants = self.parameters.bind(constants)
-        self.cooling = None if cooling is None else self.parameters.bind(cooling)
+        self.cooling: Any = None if cooling is None else self.parameters.bind(cooling)
         self.closed_form = cooling is not None and not cooling.integrated
 
     @ti.func

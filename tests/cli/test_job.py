@@ -1,0 +1,209 @@
+"""Jobs, on which batches stand: what makes two renders the same one, scripts and their text, and what a job refuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import ROOT, Write
+from PIL import Image
+
+from tparticles import library
+from tparticles.errors import InputError
+from tparticles.job import Job, Options, merged
+
+PNG = {"mp4": False}
+
+
+def identity(path: Path, **options: object) -> str:
+    return Job(str(path), Options(**PNG | options)).identity  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"frames": "2-4"},
+        {"settings": {"rate": "60"}},
+        {"settings": {"rate": 60.0}},
+        {"seed": 1},
+        {"fps": "24/1"},
+        {"size": (64, 36)},
+        {"scheme": "rk4"},
+        {"out": Path("elsewhere")},
+        {"threads": 1},
+        {"states": True},
+        {"mp4": True},
+    ],
+    ids=str,
+)
+def test_what_changes_no_picture_changes_no_identity(scene: Write, options: dict[str, object]) -> None:
+    path = scene()
+    assert identity(path, **options) == identity(path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"settings": {"rate": 61.0}},
+        {"settings": {"note": "x"}},
+        {"seed": 2},
+        {"fps": 25},
+        {"size": (66, 36)},
+        {"scheme": "euler"},
+        {"precision": "f64"},
+        {"quality": "draft"},
+    ],
+    ids=str,
+)
+def test_what_changes_the_pictures_changes_the_identity(scene: Write, options: dict[str, object]) -> None:
+    path = scene()
+    assert identity(path, **options) != identity(path)
+
+
+def test_another_text_or_place_of_a_script(scene: Write, tmp_path: Path) -> None:
+    first = identity(scene())
+    (tmp_path / "moved").mkdir()
+    assert identity(scene("moved/tiny")) == first
+    assert identity(scene(head="# another text")) != first
+
+
+def test_what_a_script_reads_is_part_of_the_identity(scene: Write, tmp_path: Path) -> None:
+    (tmp_path / "wind.txt").write_text("1.0")
+    head = "from pathlib import Path\nwind = float(Path('wind.txt').read_text())"
+    path = scene(head=head, system="tp.Advected(flow=tp.Uniform(wind=(wind, 0.0, 0.0)))")
+    first = identity(path)
+    assert identity(path) == first
+    (tmp_path / "wind.txt").write_text("2.0")
+    assert identity(path) != first
+
+
+def test_a_background_is_part_of_the_identity(scene: Write, tmp_path: Path) -> None:
+    path = scene(more=", background=tp.Picture(path='sky.png')")
+    found = set()
+    for value in (0, 200, 0):
+        Image.fromarray(np.full((4, 4, 3), value, np.uint8)).save(tmp_path / "sky.png")
+        found.add(identity(path))
+    assert len(found) == 2
+
+
+def test_the_identity_is_the_same_in_any_process(scene: Write) -> None:
+    paths = [str(scene(law="x")), *(str(p) for p in sorted((ROOT / "scenes").glob("*.py")))]
+    code = "import sys; from tparticles.job import *; [print(Job(p, Options()).identity) for p in sys.argv[1:]]"
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", code, *paths],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert runs[0] == runs[1]
+    assert len(set(runs[0].split())) == len(paths)
+
+
+def test_a_script_edited_within_a_second_is_the_new_one(scene: Write) -> None:
+    path = scene(head="x = 1")
+    before = path.stat()
+    assert vars(sys.modules[library.load(str(path)).function.__module__])["x"] == 1
+    scene(head="x = 2")
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    script = library.load(str(path))
+    assert vars(sys.modules[script.function.__module__])["x"] == 2
+    assert not list(path.parent.rglob("__pycache__"))
+
+
+def test_the_text_that_was_run_decides_the_identity(scene: Write) -> None:
+    path = scene()
+    job = Job(str(path), Options(mp4=False))
+    path.write_text("")
+    assert job.script.source.startswith('"""A tiny film."""')
+    assert job._identity() == job.identity
+
+
+def test_a_part_of_a_film_has_a_name_of_its_own(scene: Write) -> None:
+    path = scene()
+    names = {
+        f: Job(str(path), Options(frames=f)).film_path.name
+        for f in ("1-", "1-6", "1-3,4-6", "1-2", "1,2", "1-5x2", "3")
+    }
+    assert names["1-"] == names["1-6"] == names["1-3,4-6"] == "tiny.mp4"
+    assert names["1-2"] == names["1,2"] == "tiny.frames-1-2.mp4"
+    assert (names["1-5x2"], names["3"]) == ("tiny.frames-1-5x2.mp4", "tiny.frames-3.mp4")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"quality": "best"}, "unknown quality 'best'"),
+        ({"arch": "metal"}, "unknown arch 'metal'"),
+        ({"precision": "f16"}, "unknown precision 'f16'"),
+        ({"threads": 0}, "threads = 0"),
+        ({"mp4": False, "png": False}, "nothing to write"),
+        ({"size": (0, 5)}, r"Scene\.size\[0\] = 0"),
+        ({"settings": {"rate": True}}, "valid number"),
+        ({"frames": ""}, "is no range"),
+    ],
+)
+def test_a_job_refuses_what_the_command_line_would(scene: Write, options: dict[str, object], said: str) -> None:
+    path = scene()
+    with pytest.raises(InputError, match=said):
+        Job(str(path), Options(**options))  # type: ignore[arg-type]
+
+
+def test_a_picture_too_large_for_the_machine_is_refused(scene: Write, monkeypatch) -> None:
+    monkeypatch.setattr(os, "sysconf", lambda name: {"SC_PHYS_PAGES": 2**18, "SC_PAGE_SIZE": 4096}[name])
+    with pytest.raises(InputError, match=r"16384x16384: that takes 17\.5 GiB, this machine has 1\.0 GiB"):
+        Job(str(scene()), Options(size=(16384, 16384)))
+
+
+def test_groups_are_merged_into_one_table() -> None:
+    a = {"id": np.array([1, 2]), "x": np.ones((2, 3)), "v": np.zeros((2, 3))}
+    b = {"id": np.array([7]), "x": np.full((1, 3), 5.0)}
+    table = merged({"a": a, "b": b})
+    assert table["groups"].tolist() == ["a", "b"]
+    assert table["group"].tolist() == [0, 0, 1]
+    assert table["id"].tolist() == [1, 2, 7]
+    assert table["x"].shape == table["v"].shape == (3, 3)
+    assert np.isnan(table["v"][2]).all()
+
+
+PARAMETERS = """
+from __future__ import annotations
+from typing import Annotated, Literal
+from pydantic import Field
+
+def scene(quality, *, a=1, b=None, c: Literal["x", "y"] = "x", d: Annotated[float, Field(gt=0)] = 1.0) -> Nowhere:
+    pass
+"""
+
+
+def test_parameters_take_their_type_from_annotation_or_default(tmp_path: Path) -> None:
+    (tmp_path / "t.py").write_text(PARAMETERS)
+    script = library.load("t.py")
+    assert {n: p.type_name for n, p in script.parameters.items()} == {
+        "a": "int",
+        "b": "Any",
+        "c": "Literal['x', 'y']",
+        "d": "float",
+    }
+    assert script.values({"b": "[1]", "c": "y"}) == {"a": 1, "b": [1], "c": "y", "d": 1.0}
+    with pytest.raises(InputError, match=r"scene 't': parameter d = -1: should be greater than 0 \(float\)"):
+        script.settings({"d": "-1"})
+
+
+def test_an_outline_needs_no_run(tmp_path: Path) -> None:
+    (tmp_path / "t.py").write_text(
+        '"""Words.\n\nMore."""\nRATE = 2\nraise SystemExit\ndef scene(q, *, a=RATE, b=(1, 2)): pass\n'
+    )
+    found = library.outline(tmp_path / "t.py")
+    assert (found.summary, found.parameters, found.error) == ("Words.", {"a": "RATE", "b": (1, 2)}, "")
+    (tmp_path / "t.py").write_text("from elsewhere import film as scene\n")
+    assert library.outline(tmp_path / "t.py").error == ""
+    (tmp_path / "t.py").write_text("(" * 2000)
+    assert "t.py" in library.outline(tmp_path / "t.py").error

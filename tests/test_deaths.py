@@ -1,0 +1,119 @@
+"""Who dies, and when: of age, outside the region, too cold to glow; and the books of every frame."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from small_scenes import STILL, group, scene, simulate
+
+import tparticles as tp
+
+BURST = tp.Burst(count=400, time=0.05)
+
+
+def test_death_of_age():
+    film = scene(group(births=BURST, lifetime=(0.5, 0.4)), duration=1.2)
+    sim = simulate(film)
+    people = sim.groups[0].population
+    born = died = 0
+    expected: dict[int, float] = {}
+    for number in range(1, film.frame_count + 1):
+        report = sim.advance_to(number)
+        if number == 2:
+            expected = dict(zip(people.read("id").tolist(), people.read("lifetime").tolist(), strict=True))
+            assert len(expected) == 400 and min(expected.values()) > 0.1
+        born, died = born + report.born, died + report.died
+        assert report.alive == people.alive == born - died
+        age = np.float32(report.time - 0.05)
+        assert people.read("id").tolist() == [i for i, life in expected.items() if age < life], "order and set"
+    assert (born, died, report.alive) == (400, 400, 0)
+
+
+@pytest.mark.parametrize("region", [tp.Box(low=(-9, -9, -9), high=(1.0, 9, 9)), tp.Sphere(radius=1.25)])
+def test_death_by_leaving_the_region(region):
+    wind = tp.Advected(flow=tp.Uniform(wind=(3.0, 0.0, 0.0)))
+    film = scene(group(system=wind, births=BURST, shape=tp.Sphere(radius=1.0), region=region))
+    inside, free = simulate(film), None
+    living = {}
+    for number in (2, 6, 12, 24):
+        inside.advance_to(number)
+        living[number] = set(inside.groups[0].population.read("id").tolist())
+    free = simulate(scene(group(system=wind, births=BURST, shape=tp.Sphere(radius=1.0))))
+    survivors = set(range(400))
+    for number in range(2, 25):
+        free.advance_to(number)
+        x = free.groups[0].population.read("x")
+        ids = free.groups[0].population.read("id")
+        good = x[:, 0] <= 1.0 if isinstance(region, tp.Box) else (x**2).sum(axis=1) <= 1.25**2
+        survivors &= set(ids[good].tolist())
+        if number in living:
+            assert living[number] == survivors
+    assert 0 < len(living[12]) < len(living[2])
+    assert not living[24]
+
+
+LOOK = tp.Look(ev=6.0, dither=False)
+
+
+def ember(ev=6.0, size=0.03, too_cold=True):
+    """One ember at the centre of the middle pixel, on black, cooling; 65 x 37 pixels, 1 px is 10 cm."""
+    return scene(
+        group(
+            appearance=tp.Glow(emissivity=0.8),
+            births=tp.Burst(count=1),
+            temperature=1500.0,
+            size=size,
+            cooling=tp.Exponential(time=1.0),
+            too_cold=too_cold,
+        ),
+        look=dataclasses.replace(LOOK, ev=ev),
+        camera=tp.Camera(position=(0.0, -5.0, 0.0), target=(0.0, 0.0, 0.0), fov=40.0),
+        size=(65, 37),
+        duration=2.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def deaths():
+    """Simulate embers: (ev, size) -> (first frame without it, T there, brightest film value by frame if nobody dies)."""
+    found = {}
+    for ev, size in ((6.0, 0.03), (9.0, 0.03), (6.0, 0.9)):
+        sim = simulate(ember(ev, size))
+        last = next((n for n in range(1, 49) if not sim.advance_to(n).alive), None)
+        sim = simulate(ember(ev, size, too_cold=False))
+        peaks, temperatures = {}, {}
+        for frame in sim.frames((last - 1, last)):
+            peaks[frame.number] = frame.linear().max()
+            temperatures[frame.number] = float(frame.state()["dots"]["T"][0])
+            steps = frame.image.max()
+            assert steps <= 1
+        found[ev, size] = last, temperatures[last], peaks, sim.scene.look.threshold()
+    return found
+
+
+def test_death_of_cold_is_where_it_stops_to_show(deaths):
+    for (ev, size), (last, T, peaks, threshold) in deaths.items():
+        # alive while its brightest pixel would show half a display step, dead when not
+        assert peaks[last] < threshold <= peaks[last - 1] * 1.001, (ev, size, last, T)
+
+
+def test_a_brighter_exposure_and_a_larger_dot_live_longer(deaths):
+    assert deaths[9.0, 0.03][0] < deaths[6.0, 0.03][0] < deaths[6.0, 0.9][0]
+
+
+def test_capacity_reckons_with_wide_dots():
+    # The middle of a wide dot is twice as bright as its disc; births without pause until the first deaths and after.
+    base = ember(size=2.0)
+    emitter = dataclasses.replace(base.groups[0].emitters[0], births=tp.Rate(rate=2000.0))
+    film = dataclasses.replace(base, groups=dataclasses.replace(base.groups[0], emitters=emitter), duration=3.0)
+    sim = simulate(film)
+    report = sim.advance_to(film.frame_count)
+    assert report.died > 0
+    assert report.alive <= sim.groups[0].columns.capacity < report.born
+
+
+def test_nobody_dies_without_a_reason():
+    film = scene(group(system=STILL, births=BURST))
+    sim = simulate(film)
+    assert sim.advance_to(24).died == 0
+    assert sim.groups[0].mortality.dead.shape == (1,), "no memory for marks that nobody sets"
