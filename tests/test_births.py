@@ -11,7 +11,7 @@ from small_scenes import group, scene, simulate
 
 import tparticles as tp
 from tparticles import backend
-from tparticles.errors import InputError, RunError
+from tparticles.errors import InputError
 from tparticles.physics.emitters import Schedule
 from tparticles.stepping.control import StabilityLimit
 
@@ -113,14 +113,6 @@ def test_derived_capacity_is_enough(births, life, fps, preroll):
         most = max(most, np.count_nonzero((times > t0 - life) & (times < t1)))
     assert most <= room <= schedule.total
     assert schedule.most_alive(np.inf, 0.04) == schedule.total
-
-
-def test_a_capacity_that_is_too_small_is_an_error():
-    film = scene(group("few", capacity=5, births=tp.Rate(rate=48.0)))
-    sim = simulate(film)
-    message = r"group 'few', emitter 'emitter': 2 births at t = 0\.08333 s need room for 6 particles, the capacity is 5"
-    with pytest.raises(RunError, match=message):
-        list(sim.frames())
 
 
 def test_more_than_memory_is_refused_before_it_is_allocated(monkeypatch):

@@ -9,7 +9,7 @@ from tparticles import backend
 
 CROWD = scene(
     group(
-        system=tp.Advected(flow=tp.Vortex(circulation=5.0) + tp.CurlNoise(speed=1.0, octaves=2)),
+        system=tp.Advected(flow=tp.Vortex(circulation=5.0)),
         appearance=tp.Glow(),
         births=(tp.Burst(count=30_000), tp.Burst(count=10_000, time=0.05)),
         shape=tp.Sphere(radius=1.0),

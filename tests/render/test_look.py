@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from tparticles.errors import InputError
 from tparticles.render.blackbody import BlackbodyTable, linear_srgb
@@ -268,14 +267,13 @@ def test_coldest_visible_is_clamped_to_the_table():
     ],
 )
 def test_bad_parameters_are_refused_by_name(name, value):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(InputError, match=name):
         Look(**{name: value})
-    assert [error["loc"] for error in caught.value.errors()] == [(name,)]
 
 
 def test_look_is_frozen_and_keyword_only():
     with pytest.raises(dataclasses.FrozenInstanceError):
         Look().ev = 3.0  # pyright: ignore[reportAttributeAccessIssue]
-    with pytest.raises(ValidationError):
+    with pytest.raises(InputError):
         Look(7.0)  # pyright: ignore[reportCallIssue]
     assert Look(ev=3.0) == Look(ev=3.0) != Look(ev=4.0)

@@ -1,4 +1,4 @@
-"""Forces: closed forms, drag towards a flow, and laws of the user's own, in f64."""
+"""Forces: closed forms, drag towards a flow, and laws of the user's own, in f64 and in single lanes (they compile faster)."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ def test_free_fall_is_exact_for_a_second_order_scheme(cpu64):
     bench = Particles(tp.Newtonian(forces=tp.Gravity()), COUNT)
     x, v = start(bench)
     for frame in range(12):
-        bench.run("midpoint", frame / 24, (frame + 1) / 24, 1 / 50)
+        bench.run("midpoint", frame / 24, (frame + 1) / 24, 1 / 50, lanes=1)
     g = np.array([0, 0, -9.81])
     np.testing.assert_allclose(bench.get("x"), x + 0.5 * v + 0.125 * g, atol=1e-13)
     np.testing.assert_allclose(bench.get("v"), v + 0.5 * g, atol=1e-13)
@@ -40,7 +40,7 @@ def test_free_fall_is_exact_for_a_second_order_scheme(cpu64):
 def test_drag_ends_at_the_terminal_velocity(cpu64):
     bench = Particles(tp.Newtonian(forces=(tp.Gravity(), tp.Drag(time=0.05, flow=tp.Uniform(wind=(3.0, 0, 0))))), COUNT)
     start(bench)
-    bench.run("rk4", 0.0, 2.0, 0.02)
+    bench.run("rk4", 0.0, 2.0, 0.02, lanes=1)
     np.testing.assert_allclose(bench.get("v"), np.broadcast_to([3.0, 0.0, -9.81 * 0.05], (COUNT, 3)), atol=1e-12)
 
 
@@ -63,7 +63,7 @@ def test_drag_towards_a_sum_equals_the_law_written_as_one(cpu64):
     whole = Particles(tp.Newtonian(forces=OneForce()), COUNT)
     for bench in (parts, whole):
         start(bench)
-        bench.run("rk4", 1.0, 1.5, 0.02)
+        bench.run("rk4", 1.0, 1.5, 0.02, lanes=1)
     np.testing.assert_allclose(parts.get("x"), whole.get("x"), atol=1e-12)
     np.testing.assert_allclose(parts.get("v"), whole.get("v"), atol=1e-11)
 
@@ -75,7 +75,7 @@ def test_each_drag_is_given_its_own_flow(cpu64):
     ]
     bench = Particles(tp.Newtonian(forces=winds), COUNT)
     start(bench)
-    bench.run("rk4", 0.0, 2.0, 0.02)
+    bench.run("rk4", 0.0, 2.0, 0.02, lanes=1)
     np.testing.assert_allclose(bench.get("v"), np.broadcast_to([0.0, 1.0, 0.0], (COUNT, 3)), atol=1e-12)
 
 
@@ -98,7 +98,7 @@ class Magnus:
 def test_a_users_force_with_a_flow_is_given_it(cpu64):
     bench = Particles(tp.Newtonian(forces=Magnus()), COUNT)
     _, v = start(bench)
-    bench.run("rk4", 0.0, 1.0, 1 / 400)
+    bench.run("rk4", 0.0, 1.0, 1 / 400, lanes=1)
     # v - u turns about the axis at k: v' = -k w x axis
     w, wind, (c, s) = v - [1, 2, 0], np.array([1.0, 2, 0]), (math.cos(2.0), math.sin(2.0))
     turned = np.stack([w[:, 0] * c - w[:, 1] * s, w[:, 0] * s + w[:, 1] * c, w[:, 2]], axis=1)

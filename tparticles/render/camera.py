@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass as plain_dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass
 
 from tparticles.errors import InputError
+from tparticles.spec import Finite, Vec3, spec
 
 Array = NDArray[np.float64]
-Vec3 = tuple[float, float, float]
 
-_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 # Nearer than this [m] has no direction; sine of the smallest angle that `up` may make with the view.
 _NEAR = 1e-9
 _PARALLEL = 1e-6
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@spec
 class Track:
     """A value that changes in time: `keys` are (time [s], value) pairs, each value a number or each a vector of 3.
 
@@ -30,11 +27,10 @@ class Track:
     means, Fritsch & Butland 1984, "A method for constructing local monotone piecewise cubic interpolants", equation 5).
     Before the first key and after the last the value is held.
 
-    Raises `InputError` without a key, if times do not increase, or if numbers and vectors are mixed; pydantic's
-    `ValidationError` for a wrong type or a value that is not finite.
+    Raises `InputError` without a key, if times do not increase, or if numbers and vectors are mixed or a wrong type or value.
     """
 
-    keys: tuple[tuple[float, float | Vec3], ...]
+    keys: tuple[tuple[Finite, Finite | Vec3], ...]
     smooth: bool = False
 
     def __post_init__(self) -> None:
@@ -85,7 +81,7 @@ def _slope(times: Array, values: Array, i: int) -> Array:
     return np.where(same, d0 * d1 / np.where(same, a * d1 + (1.0 - a) * d0, 1.0), 0.0)
 
 
-@plain_dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """The camera at one time. `right`, `up`, `forward`: unit vectors, shape (3,); right x up = -forward.
 
@@ -115,20 +111,20 @@ class Pose:
         return 0.5 * width + scale * (offset @ self.right), 0.5 * height - scale * (offset @ self.up), depth
 
 
-@dataclass(frozen=True, config=_CONFIG)
+@spec
 class Camera:
     """A pin-hole at `position` [m] that looks at `target` [m] with `up` pointing upward on the film.
 
     `fov` is the vertical field of view [degrees], above 0 and below 180. Each may be a `Track`.
 
-    Raises `InputError` for a still camera that looks at itself or along `up`, for a field of view out of range and for
-    a Track of the wrong kind; pydantic's `ValidationError` for a wrong type or a value that is not finite.
+    Raises `InputError` for a still camera that looks at itself or along `up`, for a field of view out of range,
+    a Track of the wrong kind, a wrong type or a value that is not finite.
     """
 
     position: Vec3 | Track
     target: Vec3 | Track
     up: Vec3 | Track = (0.0, 0.0, 1.0)
-    fov: float | Track = 40.0
+    fov: Finite | Track = 40.0
 
     def __post_init__(self) -> None:
         for name in ("position", "target", "up", "fov"):

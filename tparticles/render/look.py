@@ -11,11 +11,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass
+from pydantic import Field
 
 from tparticles.errors import InputError
 from tparticles.render.blackbody import WHITE_RANGE, BlackbodyTable, chromatic_adaptation
+from tparticles.spec import spec
 
 Array = NDArray[np.float64]
 Tone = Literal["linear", "reinhard", "filmic"]
@@ -99,7 +99,7 @@ def _smallest(reached: Callable[[float], bool], low: float, high: float) -> floa
     return high
 
 
-@dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+@spec
 class Look:
     """Exposure, white balance and tone curve: everything between a linear film and 8-bit sRGB.
 
@@ -117,10 +117,9 @@ class Look:
     `white` is the film value that reaches display 1 under "reinhard" and "filmic", 0.01..100; "linear" ignores it.
     The default 5.6 is Hable's 11.2 with his exposure bias of 2 taken into account.
 
-    `dither` adds `bayer()` steps before rounding. Raises pydantic's `ValidationError` for a wrong name, type or value.
+    `dither` adds `bayer()` steps before rounding. Raises `InputError` for a wrong name, type or value.
     """
 
-    # Constraints stand in Annotated: pydantic forgets kw_only for a field whose default is a Field().
     ev: Annotated[float, Field(ge=-40.0, le=40.0)] = 7.0
     white_balance: Annotated[float, Field(ge=WHITE_RANGE[0], le=WHITE_RANGE[1])] = 6504.0
     tone: Tone = "filmic"

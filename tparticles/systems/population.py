@@ -97,6 +97,10 @@ def schedules(name: str, emitters: tuple[Emitter, ...], *, seed: int, end: float
     # "a/b" with "c" and "a" with "b/c" are two streams
     found = [Schedule(e, key=rng.stream_key(seed, f"{name.replace('/', '//')}/{e.name}"), end=end) for e in emitters]
     for emitter, schedule in zip(emitters, found, strict=True):
+        if not schedule.total:
+            raise InputError(
+                f"group '{name}', emitter '{emitter.name}' has nothing to emit: no birth before the film ends at {end:g} s"
+            )
         if schedule.total * len(emitters) >= 2**31:
             raise InputError(
                 f"group '{name}', emitter '{emitter.name}': {schedule.total} births leave no ids (32 bits); "
