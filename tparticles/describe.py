@@ -32,7 +32,7 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     script = library.load(scene)
     values = script.values(settings)
     built = script.build(quality=quality, settings=settings)
-    frame, end = float(1 / built.fps), float(built.frame_count / built.fps)
+    frame, end = float(1 / built.fps), built.duration
     groups = []
     for group in built.groups:
         names = group.attributes(streaks=built.shutter > 0)

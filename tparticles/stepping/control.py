@@ -20,7 +20,10 @@ _MOST_STEPS = 1_000_000  # per frame
 
 @ti.pyfunc
 def equal(left: float, dt: float) -> float:
-    """Return the next of the fewest equal steps <= dt that end exactly after `left` [s]: left / ceil(left / dt)."""
+    """Return the next of the fewest equal steps <= dt that end exactly after `left` [s]: left / ceil(left / dt).
+
+    Rounding of a tie (dt divides `left`) must not cost a step: a step may exceed dt by 1e-4 of it.
+    """
     return left / ti.max(ti.ceil(left / dt - 1e-4), 1.0)
 
 
