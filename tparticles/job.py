@@ -224,11 +224,16 @@ class Job:
         with contextlib.ExitStack() as undo:
             writers = self._writers(undo)
             with output.Pipeline(writers, workers=_WORKERS, queue_size=_QUEUE, on_frame=finished) as pipeline:
-                for done, frame in enumerate(simulation.frames(self.frames), start=1):
-                    rows[frame.number] = frame.report.row()
-                    states = merged(frame.state()) if self.options.states else None
-                    pipeline.submit(output.OutputFrame(frame.number, frame.image, self._provenance(frame), states))
-                    progress(frame, done)
+                try:
+                    for done, frame in enumerate(simulation.frames(self.frames), start=1):
+                        rows[frame.number] = frame.report.row()
+                        states = merged(frame.state()) if self.options.states else None
+                        pipeline.submit(output.OutputFrame(frame.number, frame.image, self._provenance(frame), states))
+                        progress(frame, done)
+                except Exception:
+                    with contextlib.suppress(Exception):  # the first error is the one to tell
+                        pipeline.drain()  # what was drawn before it is kept; only Ctrl-C drops what waits
+                    raise
 
     def _provenance(self, frame: Frame) -> dict[str, str]:
         """Return what a PNG says of itself; nothing that differs between two runs of the same film."""

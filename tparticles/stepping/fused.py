@@ -24,6 +24,7 @@ from ..systems.terms import FLOW_REGISTER, heat
 from .control import CLAMPS
 
 _COMBINE = int(OpKind.COMBINE)
+_RUNS = 4096  # in which a large group's blocks are counted
 _LONG = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
 
 
@@ -117,10 +118,17 @@ class FusedStepper:
     ) -> ti.types.vector(3, ti.i64):
         ti.static(self.parameters.read_from(values))
         steps, low, high = ti.cast(0, ti.i64), _LONG, 0
-        for block in range((count + self.lanes - 1) // self.lanes):
+        blocks = (count + self.lanes - 1) // self.lanes
+        # The counts are shared: blocks go in runs, so that threads rarely meet there, but in enough runs for many threads.
+        run = ti.max(blocks // _RUNS, 1)
+        for r in range((blocks + run - 1) // run):
             scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
             ti.static(self.parameters.hoist(scalars))
-            taken, shortest, longest = self._advance_block(block, count, t0, t1, dt, size, ops, coefficients)
+            taken, shortest, longest = 0, ti.cast(ti.math.inf, float), ti.cast(0.0, float)
+            for block in range(r * run, ti.min(blocks, (r + 1) * run)):
+                n, a, b = self._advance_block(block, count, t0, t1, dt, size, ops, coefficients)
+                taken += n
+                shortest, longest = ti.min(shortest, a), ti.max(longest, b)
             ti.atomic_add(steps, ti.cast(taken, ti.i64))
             if taken > 0:
                 ti.atomic_min(low, ti.bit_cast(ti.cast(shortest, ti.f32), ti.i32))
@@ -142,6 +150,7 @@ class FusedStepper:
             i = block * lanes + lane
             for d in ti.static(range(m)):
                 z0[d][lane] = self.state[d][i]
+                z[d][lane] = z0[d][lane]
             birth = self.columns["birth"][0][i]
             begin = ti.max(t0, birth)
             left[lane] = ti.select(i < count, ti.cast(t1 - begin, float), 0.0)
@@ -151,8 +160,8 @@ class FusedStepper:
             if ti.static("size" in self.columns):
                 sizes[lane] = self.columns["size"][0][i]
             longest = ti.max(longest, left[lane])
-        steps = 0
-        shortest_step, longest_step = ti.cast(ti.math.inf, float), ti.cast(0.0, float)
+        taken = ti.Vector([0] * lanes)
+        shortest, longest_step = ti.Vector([ti.math.inf] * lanes), ti.Vector([0.0] * lanes)
         probing = ti.cast(ti.static(1 if self.probes else 0), ti.i32)
         while longest > 0.0 or probing > 0:
             first, last = 0, ops.shape[0] - 1
@@ -160,8 +169,6 @@ class FusedStepper:
                 first, last, probing = last, last + 1, 0
             for lane in range(lanes):
                 h[lane] = ti.select(left[lane] > 0.0, ti.min(left[lane], self.clamp(left[lane], dt)), 0.0)
-                for d in ti.static(range(m)):
-                    z[d][lane] = z0[d][lane]
             for op in range(first, last):
                 if ops[op, 0] == _COMBINE:
                     self._combine(op, coefficients, z0, z, k, h)
@@ -172,9 +179,10 @@ class FusedStepper:
                 # A lane that has arrived keeps its state to the bit, even where 0 * k is NaN.
                 for d in ti.static(range(m)):
                     z0[d][lane] = ti.select(h[lane] > 0.0, z[d][lane], z0[d][lane])
-                steps += ti.select(h[lane] > 0.0, 1, 0)
-                shortest_step = ti.select(h[lane] > 0.0, ti.min(shortest_step, h[lane]), shortest_step)
-                longest_step = ti.max(longest_step, h[lane])
+                    z[d][lane] = z0[d][lane]
+                taken[lane] += ti.select(h[lane] > 0.0, 1, 0)
+                shortest[lane] = ti.min(shortest[lane], ti.select(h[lane] > 0.0, h[lane], ti.math.inf))
+                longest_step[lane] = ti.max(longest_step[lane], h[lane])
                 left[lane] -= h[lane]
                 longest = ti.max(longest, left[lane])
         for lane in range(lanes):
@@ -184,7 +192,7 @@ class FusedStepper:
             if ti.static(self.probes):
                 for d in ti.static(range(3)):
                     self.columns["v"][d][i] = k[d][lane]
-        return steps, shortest_step, longest_step
+        return taken.sum(), shortest.min(), longest_step.max()
 
     @ti.func
     def _combine(

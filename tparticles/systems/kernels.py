@@ -102,6 +102,7 @@ class Compaction:
             survivors = self.offsets[c]
             self.offsets[c] = total
             total += survivors
+        self.offsets[chunks] = total
         return total
 
     @ti.kernel
@@ -110,8 +111,13 @@ class Compaction:
             for i in range(count):
                 self.scratch[field.dtype][i] = field[i]
             for c in range((count + self.chunk - 1) // self.chunk):
+                begin, end = c * self.chunk, ti.min(count, (c + 1) * self.chunk)
                 to = self.offsets[c]
-                for i in range(c * self.chunk, ti.min(count, (c + 1) * self.chunk)):
-                    if self.dead[i] == 0:
-                        field[to] = self.scratch[field.dtype][i]
-                        to += 1
+                if self.offsets[c + 1] - to == end - begin:  # nobody died here: a plain copy, many times as fast
+                    for i in range(begin, end):
+                        field[to - begin + i] = self.scratch[field.dtype][i]
+                else:
+                    for i in range(begin, end):
+                        if self.dead[i] == 0:
+                            field[to] = self.scratch[field.dtype][i]
+                            to += 1
