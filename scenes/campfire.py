@@ -32,7 +32,7 @@ def scene(
             shape=tp.Disc(center=(0.0, 0.0, 0.12), radius=0.3),
             temperature=tp.Spread(mean=1380.0, variance=150.0),
             size=tp.Spread(mean=0.003, variance=0.0012),
-            preroll=4.0,
+            preroll=2.6,
         ),
         cooling=tp.Exponential(time=3.0, ambient=293.0),
         region=tp.Box(low=(-6.0, -4.0, -0.5), high=(6.0, 6.0, 8.0)),
@@ -64,7 +64,7 @@ def scene(
             temperature=tp.Spread(mean=1010.0, variance=90.0),
             size=tp.Spread(mean=0.026, variance=0.012),
             lifetime=tp.Spread(mean=3.0, variance=1.5),
-            preroll=4.5,
+            preroll=2.6,
         ),
         appearance=tp.Glow(emissivity=0.8, fade_in=0.4, fade_out=0.5),
     )

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import taichi as ti
+from taichi.lang import kernel_impl
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from .errors import BackendError, InputError, unknown
@@ -176,6 +177,9 @@ def _position(context: Any, node: Any) -> str:
 # Taichi words this for every node of every kernel that it traces, with carets and line wrapping, in case it should fail there:
 # more than half of the time of a trace, cold or from the cache. The same without the carets is quick.
 setattr(ASTTransformerContext, "get_pos_info", _position)  # noqa: B010
+# It also reads and tokenises the source of a function again at every place where it is inlined.
+kernel_impl.getsourcelines = functools.cache(kernel_impl.getsourcelines)
+kernel_impl.getsourcefile = functools.cache(kernel_impl.getsourcefile)
 
 
 def _initialise(backend: Backend) -> None:

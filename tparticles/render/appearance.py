@@ -113,10 +113,9 @@ class Gradient:
             raise InputError(f"Gradient.power = {self.power:g}: must be > 0")
 
     def picture(self, width: int, height: int) -> np.ndarray:
-        """Return sRGB values 0..1, shape (height, width, 3)."""
+        """Return sRGB values 0..1, shape (height, 1, 3): all columns are alike."""
         s = ((np.arange(height) + 0.5) / height) ** self.power
-        rows = np.outer(1 - s, self.top) + np.outer(s, self.bottom)
-        return np.broadcast_to(rows[:, None, :], (height, width, 3))
+        return (np.outer(1 - s, self.top) + np.outer(s, self.bottom))[:, None, :]
 
 
 @spec
@@ -148,4 +147,5 @@ def film_background(background: Background, look: Look, width: int, height: int)
     """Return the film values that develop to the background's own colours, float32, shape (height, width, 3)."""
     table, film_max = look.display_table()
     film = film_max * np.linspace(0.0, 1.0, len(table)) ** 2
-    return np.interp(background.picture(width, height) * 255, table, film).astype(np.float32)
+    values = np.interp(background.picture(width, height) * 255, table, film).astype(np.float32)
+    return np.broadcast_to(values, (height, width, 3))

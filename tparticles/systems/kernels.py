@@ -17,6 +17,9 @@ from ..physics.emitters import (
 )
 from .attributes import Columns
 
+_CHUNK = 1024  # slots that one GPU thread scans
+_GRAIN = 512  # iterations that make one CPU task
+
 
 @ti.data_oriented
 class EmitKernel:
@@ -72,28 +75,51 @@ class EmitKernel:
 
 @ti.data_oriented
 class Compaction:
-    """Stable compaction: survivors move to the front in their old order, by a prefix sum over chunks of slots."""
+    """Stable compaction: survivors move to the front in their old order.
+
+    On a GPU by a prefix sum over chunks of slots, through a scratch column. On a CPU each column is one task that moves its own
+    survivors in place: half of the memory traffic, no scratch, and one launch instead of two for every column.
+    """
 
     def __init__(self, columns: Columns, dead):
         self.columns, self.dead = columns, dead
-        # On a CPU a range is cut into one piece per thread from 512 iterations on: many small chunks.
-        self.chunk = 256 if backend.current().is_cpu else 1024
-        self.offsets = ti.field(ti.i32, columns.padded // self.chunk + 2)
-        self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}
+        self.in_place = backend.current().is_cpu
+        if not self.in_place:
+            self.offsets = ti.field(ti.i32, columns.padded // _CHUNK + 2)
+            self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}
 
     def run(self, count: int) -> int:
         """Compact the first `count` slots; return how many survive."""
+        if self.in_place:
+            return self._squeeze(count)
         survivors = self._scan(count)
         if survivors < count:
             self._move(count)
         return survivors
 
     @ti.kernel
+    def _squeeze(self, count: ti.i32) -> ti.i32:
+        survivors = 0
+        # A range of 512 is the least that Taichi gives a thread of its own.
+        for task in range(ti.static(len(self.columns.all()) * _GRAIN)):
+            if task % _GRAIN == 0:
+                for column, field in ti.static(enumerate(self.columns.all())):
+                    if task // _GRAIN == column:
+                        to = 0
+                        for i in range(count):
+                            if self.dead[i] == 0:
+                                field[to] = field[i]
+                                to += 1
+                        if ti.static(column == 0):
+                            survivors = to
+        return survivors
+
+    @ti.kernel
     def _scan(self, count: ti.i32) -> ti.i32:
-        chunks = (count + self.chunk - 1) // self.chunk
+        chunks = (count + _CHUNK - 1) // _CHUNK
         for c in range(chunks):
             survivors = 0
-            for i in range(c * self.chunk, ti.min(count, (c + 1) * self.chunk)):
+            for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
                 survivors += 1 - self.dead[i]
             self.offsets[c] = survivors
         total = 0
@@ -102,7 +128,6 @@ class Compaction:
             survivors = self.offsets[c]
             self.offsets[c] = total
             total += survivors
-        self.offsets[chunks] = total
         return total
 
     @ti.kernel
@@ -110,14 +135,9 @@ class Compaction:
         for field in ti.static(self.columns.all()):
             for i in range(count):
                 self.scratch[field.dtype][i] = field[i]
-            for c in range((count + self.chunk - 1) // self.chunk):
-                begin, end = c * self.chunk, ti.min(count, (c + 1) * self.chunk)
+            for c in range((count + _CHUNK - 1) // _CHUNK):
                 to = self.offsets[c]
-                if self.offsets[c + 1] - to == end - begin:  # nobody died here: a plain copy, many times as fast
-                    for i in range(begin, end):
-                        field[to - begin + i] = self.scratch[field.dtype][i]
-                else:
-                    for i in range(begin, end):
-                        if self.dead[i] == 0:
-                            field[to] = self.scratch[field.dtype][i]
-                            to += 1
+                for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
+                    if self.dead[i] == 0:
+                        field[to] = self.scratch[field.dtype][i]
+                        to += 1
