@@ -21,8 +21,14 @@ types: $(VENV)/.installed-test
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m tests.bench
 
+# The stills that the README shows.
 gallery: $(VENV)/.installed
-	$(BIN)/python -m tests.bench.gallery
+	for still in campfire-140 grinder-60 swirl-48; do \
+	    scene=$${still%-*}; frame=$${still#*-}; \
+	    $(BIN)/tparticles render scenes/$$scene.py --quality draft --frames $$frame --no-mp4 --quiet \
+	        --out renders/gallery/$$scene --existing overwrite && \
+	    cp renders/gallery/$$scene/frames/*$$frame.png renders/reference/$$scene.png || exit 1; \
+	done
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else f"Python 3.11 to 3.13 is needed, $(PYTHON) is {v[0]}.{v[1]}: make PYTHON=python3.11")'
