@@ -72,7 +72,7 @@ def test_a_file_that_may_not_grow_is_told_in_one_line(scene, process: Run, tmp_p
     scene(more=", background=tp.Gradient(top=(0.2, 0.4, 0.6), bottom=(0.9, 0.6, 0.3))", size="(1280, 720)")
     limit = "import os, resource as r, sys; r.setrlimit(r.RLIMIT_FSIZE, (20000, 20000)); os.execv(sys.argv[1], sys.argv[1:])"
     wrapper = (sys.executable, "-c", limit)
-    result = process("render", "tiny.py", "--out", "o", "--no-mp4", "--quiet", wrapper=wrapper)
+    result = process("render", "tiny.py", "--out", "o", "--frames", "1", "--no-mp4", "--quiet", wrapper=wrapper)
     result.refused(1, "cannot write o/frames/000001.png: File too large", "0 frames are finished and safe")
     assert check_kept(tmp_path / "o", "failed") == 0
     assert "File too large" in read_manifest(tmp_path / "o/run.json")["error"]
