@@ -10,7 +10,6 @@ __version__ = "0.1.0"
 
 # Names that scenes use, by module. They load on first use: `import tparticles` alone does not import Taichi.
 _PUBLIC = {
-    "binding": ("Parameters",),
     "errors": ("BackendError", "InputError", "RunError", "TparticlesError"),
     "physics.cooling": ("Char", "Exponential", "Radiative"),
     "physics.emitters": ("Burst", "Emitter", "PerFrame", "Rate"),

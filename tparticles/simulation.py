@@ -32,6 +32,7 @@ from .systems.population import Population, schedules
 from .systems.view import View
 
 _FEW_DOTS, _MOST_DOTS = 1 << 14, 1 << 20  # dots handed to the film at a time: room for at least, at most
+_LEAST, _SMALL = 1 << 12, 1 << 16  # slots of a group, see `_roomy`
 
 
 @dataclass
@@ -103,13 +104,18 @@ class _Plan:
         )
 
 
+def _roomy(capacity: int) -> int:
+    """Round a small derived capacity up to a power of two: kernels know their fields' sizes, and another rate shares them."""
+    return capacity if capacity > _SMALL else max(_LEAST, 1 << (capacity - 1).bit_length())
+
+
 class _Group:
     """One allocated group."""
 
     def __init__(self, plan: _Plan, scene: Scene):
         spec = self.spec = plan.spec
         self.dt = plan.dt
-        self.columns = Columns(plan.names, plan.capacity)
+        self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity))
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
         self.stepper = FusedStepper(

@@ -16,11 +16,11 @@ MOST = 100_000
 NAMES = ("x", "id", "birth", "v", "T0")
 
 
-@pytest.fixture(scope="module")
-def room(cpu32):
+@pytest.fixture(scope="module", params=[True, False], ids=["in place", "prefix sum"])
+def room(cpu32, request):
     columns = Columns(NAMES, MOST)
     dead = ti.field(ti.i32, columns.padded)
-    return columns, dead, Compaction(columns, dead)
+    return columns, dead, Compaction(columns, dead, in_place=request.param)
 
 
 def fill(columns, dead, mask, count):

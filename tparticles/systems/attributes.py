@@ -55,7 +55,7 @@ def bytes_per_particle(names: Iterable[str], precision: str) -> int:
 
 
 def bytes_allocated(names: Iterable[str], precision: str) -> int:
-    """Return the bytes that a slot for one particle takes: its attributes, compaction's scratch and the mark of the dead."""
+    """Return the most bytes that a slot takes: its attributes, a GPU's scratch for compaction, the mark of the dead."""
     kinds = {precision if ATTRIBUTES[name].kind == "real" else ATTRIBUTES[name].kind for name in names}
     return bytes_per_particle(names, precision) + sum(int(kind[1:]) // 8 for kind in kinds) + 4
 

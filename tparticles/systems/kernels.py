@@ -79,11 +79,12 @@ class Compaction:
 
     On a GPU by a prefix sum over chunks of slots, through a scratch column. On a CPU each column is one task that moves its own
     survivors in place: half of the memory traffic, no scratch, and one launch instead of two for every column.
+    `in_place` names the way; the backend's own by default.
     """
 
-    def __init__(self, columns: Columns, dead):
+    def __init__(self, columns: Columns, dead, *, in_place: bool | None = None):
         self.columns, self.dead = columns, dead
-        self.in_place = backend.current().is_cpu
+        self.in_place = backend.current().is_cpu if in_place is None else in_place
         if not self.in_place:
             self.offsets = ti.field(ti.i32, columns.padded // _CHUNK + 2)
             self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}

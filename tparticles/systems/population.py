@@ -1,4 +1,4 @@
-"""The living particles of one group: births into free slots, deaths, and stable compaction by prefix sum.
+"""The living particles of one group: births into free slots, deaths, and stable compaction.
 
 Slots never depend on thread order: newborns are appended in the order of their ids, survivors keep their order.
 """
