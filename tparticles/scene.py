@@ -24,7 +24,7 @@ from .render.camera import Camera
 from .render.look import Look
 from .schemes import Scheme
 from .spec import Positive, spec
-from .stepping.control import Clamp, Controller, Fixed
+from .stepping.control import Clamp, Controller, ErrorControl, Fixed, PixelTolerance, check_fit
 from .systems.motion import System
 from .systems.view import Constants
 
@@ -123,6 +123,11 @@ class Group:
             bounds.append(self.cooling.age_at(coldest, hottest, *size))  # type: ignore[union-attr]
         return min(bounds)
 
+    @property
+    def components(self) -> int:
+        """How many numbers the state of a particle has: x, v, and T where a cooling law integrates it."""
+        return 3 * len(self.system.state) + (self.cooling is not None and self.cooling.integrated)
+
     def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
         """Return how many particles can be alive at once, if deaths wait for the end of a frame [s]."""
         if self.capacity is not None:
@@ -170,10 +175,8 @@ class Scene:
         for name in {n for n in names if names.count(n) > 1}:
             raise InputError(f"two groups are named '{name}'")
         for group in self.groups:
-            if group.system.order not in self.scheme.system_orders:
-                raise InputError(
-                    f"scheme '{self.scheme.name}' cannot run group '{group.name}', of order {group.system.order}"
-                )
+            _check_scheme(self.scheme, group)
+        check_fit(self.steps, self.clamp, self.scheme)
         if self.frame_count < 1:
             raise InputError(f"duration = {self.duration:g} s is shorter than one frame at {self.fps} fps")
         if self.frame_count > _MOST_FRAMES:
@@ -184,6 +187,16 @@ class Scene:
         """How many frames the film has; frame k, from 1, shows the time k / fps."""
         return math.floor(Fraction(self.duration).limit_denominator(10**6) * self.fps)
 
+    @property
+    def adaptive(self) -> bool:
+        """Whether particles choose their own steps."""
+        return isinstance(self.steps, ErrorControl | PixelTolerance)
+
+    @property
+    def running_scheme(self) -> Scheme:
+        """The scheme that is run: where particles choose their steps, one that estimates its error."""
+        return schemes.doubled(self.scheme) if self.adaptive else self.scheme
+
     def resolution(self, quality: str = "final") -> tuple[int, int]:
         """Return (width, height) [px].
 
@@ -193,6 +206,28 @@ class Scene:
         if quality not in QUALITIES:
             raise unknown("quality", quality, QUALITIES)
         return self.size or QUALITIES[quality]
+
+
+def _check_scheme(scheme: Scheme, group: Group) -> None:
+    """Refuse a scheme that cannot run a group's system, before any kernel."""
+    here = f"scheme '{scheme.name}' cannot run group '{group.name}'"
+    splits = scheme.system_orders == {2}
+    if group.system.order not in scheme.system_orders:
+        raise InputError(
+            f"{here}: it kicks and drifts, which takes velocities, and {type(group.system).__name__} particles of order "
+            f"{group.system.order} have none; take a Runge-Kutta scheme (rk4)"
+        )
+    if "velocity-free forces" in scheme.needs and not group.system.velocity_free:
+        guilty = [type(f).__name__ for f in group.system.forces if not getattr(f, "velocity_free", False)]
+        raise InputError(
+            f"{here}: its order {scheme.order} holds for forces that do not depend on the velocity, and {', '.join(guilty)} may "
+            "(a force that does not says `velocity_free = True`); take velocity-verlet or rk4"
+        )
+    if splits and group.components > 6:
+        raise InputError(
+            f"{here}: it kicks and drifts, and has no way to integrate the temperature of {type(group.cooling).__name__}; "
+            "take a Runge-Kutta scheme (rk4)"
+        )
 
 
 def frame_rate(value: Any) -> Fraction:

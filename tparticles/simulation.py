@@ -24,9 +24,11 @@ from .render.appearance import film_background
 from .render.film import Dots, Film
 from .render.project import Projector, camera_row, draw
 from .scene import Group, Scene
-from .stepping.control import StabilityLimit, frame_step
+from .schemes import Scheme
+from .stepping.control import Fixed, StabilityLimit, check_precision, frame_step
 from .stepping.fused import FusedStepper, StepReport
-from .systems.attributes import Columns, bytes_allocated
+from .stepping.pace import memory
+from .systems.attributes import Attribute, Columns, bytes_allocated
 from .systems.mortality import Mortality
 from .systems.population import Population, schedules
 from .systems.view import View
@@ -45,6 +47,7 @@ class FrameReport:
     died: int = 0
     alive: int = 0
     steps: int = 0
+    rejected: int = 0
     dt_min: float = 0.0
     dt_max: float = 0.0
     ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
@@ -55,6 +58,7 @@ class FrameReport:
 
     def add_steps(self, report: StepReport) -> None:
         """Count in what a stepper did."""
+        self.rejected += report.rejected
         if report.steps:
             self.dt_min = min(self.dt_min, report.dt_min) if self.steps else report.dt_min
             self.dt_max = max(self.dt_max, report.dt_max)
@@ -87,6 +91,8 @@ class _Plan:
     births: list[Schedule]
     capacity: int
     names: tuple[str, ...]
+    more: tuple[Attribute, ...]
+    scheme: Scheme
     dt: float
 
     @classmethod
@@ -95,12 +101,15 @@ class _Plan:
         frame = float(1 / scene.fps)
         births = schedules(spec.name, spec.emitters, seed=scene.seed, end=scene.duration)
         bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
+        scheme = scene.running_scheme
         return cls(
             spec,
             births,
             spec.derived_capacity(births, look=scene.look, frame=frame),
             spec.attributes(streaks=scene.shutter > 0),
-            frame_step(scene.steps, scheme=scene.scheme, bound=bound, frame=frame),
+            memory(scheme, spec.components, adaptive=scene.adaptive),
+            scheme,
+            frame_step(scene.steps, scheme=scheme, bound=bound, frame=frame, damping=spec.system.damping),
         )
 
 
@@ -115,16 +124,17 @@ class _Group:
     def __init__(self, plan: _Plan, scene: Scene):
         spec = self.spec = plan.spec
         self.dt = plan.dt
-        self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity))
+        self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity), more=plan.more)
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
         self.stepper = FusedStepper(
             spec.system,
             cooling=spec.cooling,
-            scheme=scene.scheme,
+            scheme=plan.scheme,
             clamp=scene.clamp,
             columns=self.columns,
             size=constants.size,
+            tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
         )
         self.projector = Projector(self.view, spec.appearance, scene.look)
         self.mortality = Mortality(
@@ -182,6 +192,7 @@ class Simulation:
         scene = self.scene
         self.width, self.height = scene.resolution(quality)
         self.frame_seconds = 1 / scene.fps
+        check_precision(scene.steps, self.backend.precision)
         plans = [_Plan.of(group, scene) for group in scene.groups]
         _check_memory(plans, self.backend.precision)
         self._camera_at = 0.0, camera_row(scene.camera.pose(0.0), self.width, self.height)
@@ -234,8 +245,8 @@ class Simulation:
         start = time.perf_counter()
         report.born += people.emit(t0, t1)
         middle = time.perf_counter()
-        report.add_steps(group.stepper.advance(people.alive, t0, t1, group.dt))
         try:
+            report.add_steps(group.stepper.advance(people.alive, t0, t1, group.dt, camera=self._camera(t1)))
             died = group.mortality.mark(people.alive, t1, self._camera(t1))
         except RunError as error:
             raise RunError(
@@ -273,7 +284,7 @@ class Simulation:
 
 def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
     """Refuse what cannot fit before it is allocated."""
-    needed = [plan.capacity * bytes_allocated(plan.names, precision) for plan in plans]
+    needed = [plan.capacity * bytes_allocated(plan.names, precision, plan.more) for plan in plans]
     available = backend.memory()
     if sum(needed) > available:
         largest = plans[needed.index(max(needed))]

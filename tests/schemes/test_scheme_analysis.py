@@ -14,14 +14,13 @@ from tparticles.schemes.analysis import (
     condition_formula,
     density,
     elementary_weight,
-    imaginary_limit,
-    real_limit,
     rooted_trees,
     runge_kutta_order,
-    stability_polynomial,
+    stability_function,
     tree_order,
 )
 from tparticles.schemes.polynomial import first_sign_change
+from tparticles.schemes.stability import imaginary_limit, real_limit
 
 F = Fraction
 
@@ -67,14 +66,14 @@ def test_order_of_implicit_tableaus():
     assert runge_kutta_order([[0]], [F(1, 2)]) == 0
 
 
-def test_stability_polynomial_is_exact_for_exact_coefficients():
-    assert stability_polynomial(*RK4) == (1, 1, F(1, 2), F(1, 6), F(1, 24))
+def test_stability_function_is_exact_for_exact_coefficients():
+    assert stability_function(*RK4) == ((1, 1, F(1, 2), F(1, 6), F(1, 24)), (1,))
 
 
-def test_stability_polynomial_drops_what_cancels_in_floats():
+def test_stability_function_drops_what_cancels_in_floats():
     g = math.pi / 10
     # b^T A 1 = g b_1 - g b_1 would leave rounding errors.
-    R = stability_polynomial([[], [g], [g, 0]], [1, 3 * g, -3 * g])
+    R, _ = stability_function([[], [g], [g, 0]], [1, 3 * g, -3 * g])
     assert R == (1.0, 1.0)
 
 

@@ -10,25 +10,10 @@ import numpy as np
 from tparticles import schemes
 from tparticles.schemes import Scheme
 from tparticles.stepping.fused import FusedStepper, StepReport
-from tparticles.systems.attributes import Columns
+from tparticles.systems.attributes import Attribute, Columns
 
-DORMAND_PRINCE = schemes.runge_kutta(
-    [
-        [],
-        [1 / 5],
-        [3 / 40, 9 / 40],
-        [44 / 45, -56 / 15, 32 / 9],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656],
-        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ],
-    [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84, 0],
-    name="dormand-prince",
-    order=5,
-)
-HEUN = schemes.runge_kutta([[], [1]], [1 / 2, 1 / 2], name="heun")
-KUTTA3 = schemes.runge_kutta([[], [1 / 2], [-1, 2]], [1 / 6, 2 / 3, 1 / 6], name="kutta-rk3")
-SCHEMES = (*schemes.CATALOGUE.values(), HEUN, KUTTA3, DORMAND_PRINCE)
+SCHEMES = tuple(schemes.CATALOGUE.values())
+ONE_STEP = tuple(scheme for scheme in SCHEMES if scheme.one_step and 1 in scheme.system_orders and not scheme.implicit)
 
 
 class Particles:
@@ -36,7 +21,9 @@ class Particles:
 
     def __init__(self, system: Any, count: int, *, names: Sequence[str] = (), cooling: Any = None):
         self.system, self.count, self.cooling = system, count, cooling
-        self.columns = Columns(("x", "id", "birth", *system.state, *names), count)
+        width = max(len(scheme.carried) for scheme in SCHEMES) * 7 + 2
+        more = (Attribute("history", width, "real", "", ""), Attribute("dt", 1, "real", "s", ""))
+        self.columns = Columns(("x", "id", "birth", *system.state, *names), count, more=more)
         self._steppers: dict[Any, FusedStepper] = {}
 
     def set(self, name: str, values: Any) -> None:

@@ -21,7 +21,7 @@ def sequence(clamp, frame, dt, real=np.float64, most=5000):
     """Walk one frame as the stepper does; the time left ends at exactly zero."""
     left, dt, steps = real(frame), real(dt), []
     while left > 0:
-        h = real(min(left, real(clamp(left, dt))))
+        h = real(min(left, real(clamp(left, dt, real(frame)))))
         assert h > 0
         steps.append(h)
         left = real(left - h)

@@ -107,7 +107,7 @@ def test_the_clamp_is_the_same_on_host_and_device(cpu32, name):
     @ti.kernel
     def on_device(left: ti.types.ndarray(ndim=1), dt: ti.types.ndarray(ndim=1), out: ti.types.ndarray(ndim=1)):
         for i in range(left.shape[0]):
-            out[i] = clamp(left[i], dt[i])
+            out[i] = clamp(left[i], dt[i], 1 / 24)
 
     rng = np.random.default_rng(4)
     left = np.concatenate([rng.uniform(0.01, 0.05, 2000), np.repeat(1 / 24, 6)]).astype(np.float32)
@@ -115,7 +115,7 @@ def test_the_clamp_is_the_same_on_host_and_device(cpu32, name):
     dt = np.concatenate([left[:2000] * rng.uniform(0.05, 1.5, 2000), 1 / ties]).astype(np.float32)
     out = np.empty_like(left)
     on_device(left, dt, out)
-    host = np.array([clamp(a, b) for a, b in zip(left, dt, strict=True)], np.float32)
+    host = np.array([clamp(a, b, 1 / 24) for a, b in zip(left, dt, strict=True)], np.float32)
     np.testing.assert_allclose(out, host, rtol=3e-7)
 
 

@@ -17,6 +17,8 @@ class Gravity:
 
     g: Vec3 = (0.0, 0.0, -9.81)
 
+    velocity_free = True
+
     @ti.func
     def acceleration(self, t, x, v):
         """Return g [m/s^2]."""
@@ -41,6 +43,10 @@ class Drag:
     def acceleration(self, t, x, v, u):
         """Return the drag [m/s^2]; `u` is the flow's velocity at the particle."""
         return (u - v) / self.time
+
+    def damping(self) -> float:
+        """Return the rate at which v relaxes [1/s], whatever the flow."""
+        return 1.0 / self.time
 
     def jacobian_bound(self) -> Bound:
         """Return a bound on the roots of l^2 + l / time = g / time, g the flow's own bound: 1 / time in a uniform wind."""

@@ -23,6 +23,8 @@ class ForceLike(Protocol):
     """A force per mass: `acceleration(self, t, x, v)` [m/s^2], a `@ti.func`.
 
     A force with an attribute `flow` is given the flow's velocity at the particle too: `acceleration(self, t, x, v, u)`.
+    Splittings of high order ask for forces that say `velocity_free = True`: they do not depend on v.
+    A force whose v certainly relaxes at some rate says so by `damping()` [1/s]: too long a step is then refused beforehand.
     """
 
     def acceleration(self, t, x, v): ...  # noqa: D102

@@ -2,20 +2,46 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from tparticles.errors import InputError, unknown
-from tparticles.schemes.analysis import Stability
 from tparticles.schemes.catalogue import SCHEMES
+from tparticles.schemes.characteristic import AnyStability, MultistepStability, SplittingStability
+from tparticles.schemes.doubling import doubled
 from tparticles.schemes.exact import shown
-from tparticles.schemes.program import Op, OpKind, Scheme, step
+from tparticles.schemes.interpreter import integrate, step
+from tparticles.schemes.multistep import adams, bdf
+from tparticles.schemes.one_step import modified_euler
+from tparticles.schemes.program import Op, OpKind, Scheme
 from tparticles.schemes.runge_kutta import runge_kutta
+from tparticles.schemes.splitting import splitting
+from tparticles.schemes.stability import Stability
 
-__all__ = ["CATALOGUE", "Op", "OpKind", "Scheme", "Stability", "describe", "get", "runge_kutta", "step"]
+__all__ = [
+    "CATALOGUE",
+    "AnyStability",
+    "MultistepStability",
+    "Op",
+    "OpKind",
+    "Scheme",
+    "SplittingStability",
+    "Stability",
+    "adams",
+    "bdf",
+    "describe",
+    "doubled",
+    "get",
+    "integrate",
+    "modified_euler",
+    "oscillator_limit",
+    "runge_kutta",
+    "splitting",
+    "step",
+]
 
-CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in SCHEMES})
+CATALOGUE: Mapping[str, Scheme] = SCHEMES
 
 
 def get(scheme: str | Scheme) -> Scheme:
@@ -30,6 +56,17 @@ def get(scheme: str | Scheme) -> Scheme:
     if scheme not in CATALOGUE:
         raise unknown("scheme", scheme, CATALOGUE)
     return CATALOGUE[scheme]
+
+
+def oscillator_limit(scheme: Scheme, zeta: float = 0.0) -> float:
+    """Return the largest omega dt up to which x'' = -omega^2 x - 2 zeta omega x' stays bounded, infinity if it always does.
+
+    `zeta`: damping ratio, 0 for an undamped oscillator, 1 for critical damping, larger beyond. 0.0 if every step grows.
+    Raises InputError if `zeta` is not a finite number >= 0.
+    """
+    if not isinstance(zeta, int | float) or isinstance(zeta, bool) or not (math.isfinite(zeta) and zeta >= 0):
+        raise InputError(f"scheme '{scheme.name}': zeta must be a finite number >= 0, not {shown(zeta)}")
+    return scheme.stability.oscillator_limit(zeta)
 
 
 def describe(scheme: Scheme) -> dict[str, Any]:

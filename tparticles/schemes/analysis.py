@@ -1,8 +1,7 @@
-"""What the coefficients of a one-step method imply: its order, its stability function and its stability limits.
+"""What the coefficients of a Runge-Kutta tableau imply: its order and its stability function.
 
 Order: a Runge-Kutta method has order p when every rooted tree of at most p vertices satisfies phi(tree) = 1/gamma(tree)
 (Butcher 1963; Hairer, Norsett, Wanner, Solving ODEs I, theorem II.2.13).
-Stability: on x' = lambda x a step multiplies x by R(z), z = dt lambda (Hairer, Wanner, Solving ODEs II, chapter IV.2).
 
 Coefficients that are exact (int, Fraction, or floats that round a simple fraction) are treated exactly; the others
 carry rounding errors, and sums of them are compared with a tolerance relative to their terms.
@@ -12,31 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, cached_property
-from typing import TypeAlias
+from functools import cache
+from typing import NamedTuple, TypeAlias
 
-import numpy as np
+from tparticles.schemes.exact import Number, rational, rounding
+from tparticles.schemes.polynomial import trimmed
 
-from tparticles.errors import InputError
-from tparticles.schemes.exact import rational, shown
-from tparticles.schemes.polynomial import first_sign_change, trimmed
-
-Number: TypeAlias = int | float | Fraction
 Rows: TypeAlias = Sequence[Sequence[Number]]
 # A rooted tree is the sorted tuple of the trees that hang from its root; () is the single vertex.
 Tree: TypeAlias = "tuple[Tree, ...]"
-
-# Sums of products of rounded coefficients are trusted to this, relative to the sizes of their terms ...
-_TOLERANCE = Fraction(1, 10**12)
-# ... but a table of huge coefficients that cancel must not make every condition true.
-_LARGEST_ROUNDING = Fraction(1, 10**9)
-
-
-def rounding(size: Number) -> Fraction:
-    """Return by how much a sum of rounded coefficients may be off; `size` is the sum of its terms' absolute values."""
-    return min(_TOLERANCE * Fraction(size), _LARGEST_ROUNDING)
 
 
 @cache
@@ -83,7 +67,7 @@ def _stage_weights(tree: Tree, a: Rows, s: int) -> list[Number]:
 
 def _dot(row: Sequence[Number], column: Sequence[Number]) -> Number:
     # strict=False: a row of an explicit tableau stops at its diagonal.
-    return sum((left * right for left, right in zip(row, column, strict=False)), start=Fraction(0))
+    return sum((left * right for left, right in zip(row, column, strict=False) if left), start=Fraction(0))
 
 
 def condition_formula(tree: Tree) -> str:
@@ -98,8 +82,7 @@ def _formula(tree: Tree) -> str:
     return f"({' '.join(factors)})"
 
 
-@dataclass(frozen=True)
-class FailedCondition:
+class FailedCondition(NamedTuple):
     """The first order condition that a tableau does not satisfy: phi(tree) is `value`, not `needed`."""
 
     tree: Tree
@@ -140,20 +123,38 @@ def _magnitudes(a: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> tuple
     return [[abs(entry) for entry in row] for row in a], [abs(entry) for entry in b]
 
 
-def stability_polynomial(a: Rows, b: Sequence[Number]) -> tuple[Number, ...]:
-    """Return the coefficients of R(z) = 1 + sum_k z^(k+1) b^T A^k 1 of an explicit tableau, ascending.
+def stability_function(a: Rows, b: Sequence[Number]) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+    """Return numerator and denominator of R(z) = 1 + z b^T (I - z A)^-1 1 of a tableau with zeros above its diagonal.
 
-    They are Fractions where the tableau is exact, floats where it carries rounding errors.
+    Coefficients ascend; Fractions where the tableau is exact, floats where it carries rounding errors.
     Raises OverflowError if a float coefficient does not fit into float64.
     """
     rows, weights, exact = _as_fractions(a, b)
-    R = _powers(rows, weights)
+    diagonal = [row[i] for i, row in enumerate(rows) if len(row) > i]
+    series, D = _powers(rows, weights), _denominator(diagonal)
+    # N = D R as power series; its degree is s at most.
+    N = _truncated_product(series, D)
     if exact:
-        return trimmed(R)
-    sizes = _powers(*_magnitudes(rows, weights))
-    kept = [c if abs(c) > rounding(size) else Fraction(0) for c, size in zip(R, sizes, strict=True)]
+        return trimmed(N), trimmed(D)
+    sizes = _truncated_product(_powers(*_magnitudes(rows, weights)), _denominator([-abs(entry) for entry in diagonal]))
+    kept = [c if abs(c) > rounding(size) else Fraction(0) for c, size in zip(N, sizes, strict=True)]
     # Trimmed after rounding, which may underflow to 0.
-    return trimmed([float(coefficient) for coefficient in kept])
+    return trimmed([float(entry) for entry in kept]), trimmed([float(entry) for entry in D])
+
+
+def _denominator(diagonal: Sequence[Fraction]) -> list[Fraction]:
+    """Return the product of (1 - a_ii z)."""
+    D = [Fraction(1)]
+    for entry in diagonal:
+        D = [left - entry * right for left, right in zip([*D, Fraction(0)], [Fraction(0), *D], strict=True)]
+    return list(trimmed(D))
+
+
+def _truncated_product(series: Sequence[Fraction], factor: Sequence[Fraction]) -> list[Fraction]:
+    return [
+        sum((series[k - j] * entry for j, entry in enumerate(factor[: k + 1])), start=Fraction(0))
+        for k in range(len(series))
+    ]
 
 
 def _powers(a: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> list[Fraction]:
@@ -164,114 +165,3 @@ def _powers(a: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> list[Frac
         R.append(Fraction(_dot(b, column)))
         column = [_dot(row, column) for row in a]
     return R
-
-
-def real_limit(R: Sequence[Number], denominator: Sequence[Number] = (1,)) -> float:
-    """Return the largest r such that |R(-x)| <= 1 for all x in [0, r].
-
-    R is given by its coefficients, ascending; a rational R also by its denominator's. 0.0 if every step grows,
-    infinity if none does. Accurate to rounding.
-    """
-    return _stable_until(_excess(R, denominator, imaginary=False))
-
-
-def imaginary_limit(R: Sequence[Number], denominator: Sequence[Number] = (1,)) -> float:
-    """Return the largest r such that |R(iy)| <= 1 for all y in [0, r]; arguments and accuracy as `real_limit`."""
-    return math.sqrt(_stable_until(_excess(R, denominator, imaginary=True)))
-
-
-def _excess(N: Sequence[Number], D: Sequence[Number], *, imaginary: bool) -> list[Fraction]:
-    """Return the coefficients of |N|^2 - |D|^2 in powers of x at z = -x, or of u = y^2 at z = iy."""
-    N, D = [rational(n) for n in N], [rational(d) for d in D]
-    exact = all(isinstance(entry, Fraction) for entry in [*N, *D])
-    above = _squared_terms([Fraction(n) for n in N], imaginary=imaginary)
-    below = _squared_terms([Fraction(d) for d in D], imaginary=imaginary)
-    excess: list[Fraction] = []
-    for m in range(max(len(above), len(below))):
-        terms = [*(above[m] if m < len(above) else ()), *(-term for term in (below[m] if m < len(below) else ()))]
-        total = sum(terms, start=Fraction(0))
-        # What cancels in exact arithmetic leaves rounding errors in floats; they would decide the sign near 0.
-        allowed = 0 if exact else _TOLERANCE * sum(abs(term) for term in terms)
-        excess.append(total if abs(total) > allowed else Fraction(0))
-    return excess
-
-
-def _squared_terms(R: Sequence[Fraction], *, imaginary: bool) -> list[list[Fraction]]:
-    """Return the terms of each coefficient of |R|^2, as for `_excess`."""
-    terms: list[list[Fraction]] = [[] for _ in range(len(R) if imaginary else 2 * len(R) - 1)]
-    for i, left in enumerate(R):
-        for j, right in enumerate(R):
-            if not imaginary:
-                # r_i (-x)^i r_j (-x)^j
-                terms[i + j].append((-1) ** (i + j) * left * right)
-            elif (i + j) % 2 == 0:
-                # r_i (iy)^i conj(r_j (iy)^j) = r_i r_j i^(i-j) y^(i+j); odd powers cancel in pairs
-                terms[(i + j) // 2].append((-1) ** (abs(i - j) // 2) * left * right)
-    return terms
-
-
-def _stable_until(excess: Sequence[Fraction]) -> float:
-    """Return the largest x such that the polynomial is <= 0 on [0, x]."""
-    lowest = next((coefficient for coefficient in excess if coefficient), Fraction(0))
-    return 0.0 if lowest > 0 else first_sign_change(excess)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stability:
-    """The stability function R(z) = numerator(z) / denominator(z) of a one-step method, z = dt lambda.
-
-    `numerator` and `denominator` are coefficients in ascending powers: int or Fraction where they are exact.
-    Raises InputError if they are not tuples of finite numbers, or end with a zero (lengths tell the degrees).
-    """
-
-    numerator: tuple[Number, ...]
-    denominator: tuple[Number, ...] = (1,)
-
-    def __post_init__(self) -> None:
-        for part in (self.numerator, self.denominator):
-            numbers = isinstance(part, tuple) and all(isinstance(entry, int | float | Fraction) for entry in part)
-            if not numbers or not part or not all(map(_is_finite, part)) or part[-1] == 0:
-                raise InputError(
-                    "a stability function needs tuples of finite coefficients in ascending powers "
-                    f"whose last is not 0, not {shown(part)}"
-                )
-
-    def __call__(self, z: complex) -> complex:
-        """Return R(z): the factor by which a step of dt multiplies the solution of x' = (z / dt) x."""
-        return _horner(self.numerator, z) / _horner(self.denominator, z)
-
-    @cached_property
-    def real_limit(self) -> float:
-        """Largest r with |R(-x)| <= 1 on [0, r]."""
-        return real_limit(self.numerator, self.denominator)
-
-    @cached_property
-    def imaginary_limit(self) -> float:
-        """Largest r with |R(iy)| <= 1 on [0, r]."""
-        return imaginary_limit(self.numerator, self.denominator)
-
-    @cached_property
-    def a_stable(self) -> bool:
-        """Whether |R| <= 1 in the whole left half-plane: on its border, and no pole inside (maximum principle)."""
-        poles = np.roots([float(coefficient) for coefficient in reversed(self.denominator)])
-        bounded_at_infinity = len(self.numerator) <= len(self.denominator)
-        return bounded_at_infinity and self.imaginary_limit == math.inf and bool(np.all(poles.real > 0))
-
-    @property
-    def l_stable(self) -> bool:
-        """Whether it is A-stable and R vanishes at infinity, so that one long step kills a stiff mode."""
-        return len(self.numerator) < len(self.denominator) and self.a_stable
-
-
-def _is_finite(value: Number) -> bool:
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False
-
-
-def _horner(coefficients: Sequence[Number], z: complex) -> complex:
-    value = 0j
-    for coefficient in reversed(coefficients):
-        value = value * z + float(coefficient)
-    return value

@@ -70,7 +70,13 @@ def _primitive(p: Poly) -> Poly:
     return tuple(Fraction(numerator // common) for numerator in numerators)
 
 
-def _gcd(p: Poly, q: Poly) -> Poly:
+def quotient(p: Poly, q: Poly) -> Poly:
+    """Return p / q, which must leave no remainder."""
+    return _divide(p, q)[0]
+
+
+def greatest_common_divisor(p: Poly, q: Poly) -> Poly:
+    """Return the common divisor of `p` and `q` of the highest degree, with coprime integers."""
     while q:
         p, q = q, _primitive(_divide(p, q)[1])
     return _primitive(p)
@@ -81,11 +87,11 @@ def _odd_part(p: Poly) -> Poly:
     if len(p) < 2:
         return p
     odd: Poly = (Fraction(1),)
-    repeated = _gcd(p, _derivative(p))
+    repeated = greatest_common_divisor(p, _derivative(p))
     distinct = _divide(p, repeated)[0]
     multiplicity = 1
     while len(distinct) > 1:
-        common = _gcd(distinct, repeated)
+        common = greatest_common_divisor(distinct, repeated)
         if multiplicity % 2:
             odd = _product(odd, _divide(distinct, common)[0])
         distinct, repeated = common, _divide(repeated, common)[0]

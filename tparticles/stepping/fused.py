@@ -1,12 +1,13 @@
 """The fused stepper: a whole frame of sub-steps for particles without neighbours, in one launch.
 
 `for block of lanes: while any lane has time left: for op: for lane`. The ops of the scheme are walked at run time over coefficients
-in a small field, so the law is compiled once whatever the scheme, and another scheme is other data. A block of particles
+in a small array, so the law is compiled once whatever the scheme, and another scheme is other data. A block of particles
 lives in local vectors that the compiler vectorises over (LANES = 16 on a CPU); on a GPU a block is one particle.
-A lane whose particle has arrived takes steps of zero length, so no particle depends on its neighbours.
+A lane that takes no step has a step of zero length, so no particle depends on its neighbours: neither on how many steps
+they need, nor on whether they start, reject a step or wait for Newton's method.
 """
 
-# pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportOptionalSubscript=false
 # Kernel signatures are Taichi's, and traced values have no Python type.
 
 from dataclasses import dataclass
@@ -17,24 +18,57 @@ import taichi as ti
 
 from .. import backend
 from ..binding import Parameters
-from ..errors import InputError
-from ..schemes import OpKind, Scheme
+from ..errors import InputError, RunError
+from ..schemes import Scheme
 from ..systems.attributes import Columns
 from ..systems.terms import FLOW_REGISTER, heat
-from .control import CLAMPS
+from .control import Tolerance
+from .newton import Newton
+from .pace import NOBODY, Pace
+from .table import Table
 
-_COMBINE = int(OpKind.COMBINE)
+_COMBINE, _EVALUATE, _KICK, _DRIFT, _SOLVE, _ROTATE, _DIFFERENCE = range(7)
 _RUNS = 4096  # in which a large group's blocks are counted
 _LONG = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
 
 
 @dataclass(frozen=True)
 class StepReport:
-    """What one advance took: sub-steps over all particles, the smallest and the largest dt [s] (0 if none was taken)."""
+    """What one advance took: sub-steps over all particles, tries that were rejected, smallest and largest dt [s] (0: no step)."""
 
     steps: int = 0
+    rejected: int = 0
     dt_min: float = 0.0
     dt_max: float = 0.0
+
+
+@ti.data_oriented
+class _Block:
+    """The local vectors of one block, by name, while a kernel is traced: a list of them where a name stands for several.
+
+    `k`: the slopes; component d of register j in lane l is k[d][j * lanes + l].
+    """
+
+    def __init__(self, layout: dict[str, int], vectors: list[Any], slopes: list[Any], lanes: int):
+        self.k, self.lanes = slopes, lanes
+        rest = iter(vectors)
+        for name, count in layout.items():
+            found = [next(rest) for _ in range(count)]
+            setattr(self, name, found[0] if count == 1 else found)
+
+
+def _first_writers(terms: list[Any]) -> list[tuple[Any, bool]]:
+    """Pair each term with whether it sets its components, as the first that writes them, or adds to them."""
+    written: set[int] = set()
+    pairs = []
+    for term in terms:
+        if term.first == FLOW_REGISTER:
+            pairs.append((term, term.resets_flow))
+            continue
+        own = set(range(term.first, term.first + term.width))
+        pairs.append((term, not own & written))
+        written |= own
+    return pairs
 
 
 @ti.data_oriented
@@ -45,9 +79,10 @@ class FusedStepper:
         system: what moves them (`Advected` or `Newtonian`).
         cooling: a cooling law or None; T joins the state if the law is integrated.
         scheme: the integrator, as data.
-        clamp: how steps are fitted to the frame, `equal` or `slide32`.
-        columns: the particles' attributes.
+        clamp: how steps are fitted to the frame: `equal`, `slide32` or `dyadic`.
+        columns: the particles' attributes, those of `memory` included.
         size: the common diameter [m] where it is no attribute.
+        tolerance: what the error of a step is held against, where particles choose their own steps.
         lanes: particles per block; the backend's choice by default.
     """
 
@@ -60,13 +95,13 @@ class FusedStepper:
         clamp: str,
         columns: Columns,
         size: float,
+        tolerance: Tolerance | None = None,
         lanes: int | None = None,
     ):
         self.lanes = lanes or backend.current().lanes
         if columns.padded % self.lanes:
             raise InputError(f"blocks of {self.lanes} lanes do not fit columns that are padded to {columns.padded}")
         self.columns = columns
-        self.clamp = CLAMPS[clamp]
         self.parameters = Parameters()
         self.terms = system.terms(self.parameters)
         self.state = [field for name in system.state for field in columns[name]]
@@ -77,28 +112,54 @@ class FusedStepper:
         self.size = size
         # first-order particles have no velocity of their own; where one is wanted, it is the slope at the frame's end
         self.probes = system.order == 1 and "v" in columns
-        self._load_scheme(scheme)
+        components = len(self.state)
+        self.table = Table.of(scheme)
+        self.coefficients = self.table.coefficients.astype(self.parameters.array.dtype)
+        self.reuses = int(self.table.reuses(velocity_free=getattr(system, "velocity_free", False)))
+        self.tolerance = tolerance
+        self.pace = Pace(self.table, components, clamp=clamp, tolerance=tolerance, columns=columns)
+        self.newton = Newton(first=0 if system.order == 1 else 3, components=components, heated=self.heated)
+        self.firsts = _first_writers(self.terms)
+        # the local vectors of a block by name, and how many scalars of a particle each name stands for
+        self.layout = {"z0": components, "z": components, "u": 3, "age": 1, "size": 1} | self.pace.vectors()
+        if self.table.implicit:
+            self.layout |= self.newton.vectors()
+        self.width = sum(self.layout.values())
 
-    def _load_scheme(self, scheme: Scheme) -> None:
-        self.slopes = scheme.slopes
-        kinds, slopes, times = (np.zeros(len(scheme.ops) + 1, t) for t in (np.int32, np.int32, float))
-        weights = np.zeros((len(scheme.ops) + 1, scheme.slopes))
-        for i, op in enumerate(scheme.ops):
-            kinds[i], slopes[i], times[i] = op.kind, op.slope, op.time
-            weights[i, : len(op.weights)] = op.weights
-        kinds[-1] = OpKind.EVALUATE  # one op more, after the last: the probe, k_0 = f(t, z)
-        real = self.parameters.array.dtype
-        self.ops = np.stack([kinds, slopes], axis=1)
-        self.coefficients = np.concatenate([times[:, None], weights], axis=1).astype(real)
+    def advance(self, count: int, t0: float, t1: float, dt: float, *, camera: np.ndarray | None = None) -> StepReport:
+        """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`.
 
-    def advance(self, count: int, t0: float, t1: float, dt: float) -> StepReport:
-        """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`."""
+        `camera`: the row of numbers that a tolerance in pixels is projected with.
+
+        Raises:
+            RunError: a particle finds no step; its id is named.
+        """
         if count == 0:
             return StepReport()
-        result = self._advance(count, t0, t1, dt, self.size, self.ops, self.coefficients, self.parameters.array)
-        steps, low, high = (int(v) for v in result)
+        target = np.zeros(1, np.float32) if self.tolerance is None else self.tolerance.numbers(t1 - t0, camera)
+        result = self._advance(
+            count,
+            t0,
+            t1,
+            dt,
+            self.size,
+            self.table.ops,
+            self.table.edges,
+            self.coefficients,
+            target,
+            self.parameters.array,
+        )
+        steps, rejected, low, high, stuck = (int(v) for v in result)
+        if stuck != NOBODY:
+            raise RunError(self._why_stuck(stuck))
         low, high = (float(v) for v in np.array([low, high], np.int32).view(np.float32))
-        return StepReport(steps, low, high) if steps else StepReport()
+        return StepReport(steps, rejected, low, high) if steps else StepReport(rejected=rejected)
+
+    def _why_stuck(self, slot: int) -> str:
+        who, floor = f"particle {self.columns['id'][0][slot]}", f"{self.pace.smallest:.2g} of a frame"
+        if self.pace.adaptive:
+            return f"{who}: the tolerance asks for steps below {floor}, where rounding rules; loosen it or use --precision f64"
+        return f"{who}: Newton's method finds no solution of scheme '{self.table.scheme.name}', not even with steps of {floor}"
 
     @ti.func
     def _rate(self, term: ti.template(), p, t, z, u, q):
@@ -113,150 +174,236 @@ class FusedStepper:
         dt: float,
         size: float,
         ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        edges: ti.types.ndarray(dtype=ti.i32, ndim=1),
         coefficients: ti.types.ndarray(ndim=2),
+        target: ti.types.ndarray(dtype=ti.f32, ndim=1),
         values: ti.types.ndarray(ndim=1),
-    ) -> ti.types.vector(3, ti.i64):
+    ) -> ti.types.vector(5, ti.i64):
         ti.static(self.parameters.read_from(values))
-        steps, low, high = ti.cast(0, ti.i64), _LONG, 0
+        steps, rejected, low, high, stuck = ti.cast(0, ti.i64), ti.cast(0, ti.i64), _LONG, 0, NOBODY
         blocks = (count + self.lanes - 1) // self.lanes
         # The counts are shared: blocks go in runs, so that threads rarely meet there, but in enough runs for many threads.
         run = ti.max(blocks // _RUNS, 1)
         for r in range((blocks + run - 1) // run):
             scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
             ti.static(self.parameters.hoist(scalars))
-            taken, shortest, longest = 0, ti.cast(ti.math.inf, float), ti.cast(0.0, float)
+            taken, missed, shortest, longest = 0, 0, ti.cast(ti.math.inf, float), ti.cast(0.0, float)
             for block in range(r * run, ti.min(blocks, (r + 1) * run)):
-                n, a, b = self._advance_block(block, count, t0, t1, dt, size, ops, coefficients)
+                n, no, low_, high_, slot = self._advance_block(
+                    block, count, t0, t1, dt, size, ops, edges, coefficients, target
+                )
                 taken += n
-                shortest, longest = ti.min(shortest, a), ti.max(longest, b)
+                missed += no
+                shortest, longest = ti.min(shortest, low_), ti.max(longest, high_)
+                if ti.static(self.pace.chooses):
+                    if slot < NOBODY:
+                        ti.atomic_min(stuck, slot)
             ti.atomic_add(steps, ti.cast(taken, ti.i64))
+            if ti.static(self.pace.chooses):
+                ti.atomic_add(rejected, ti.cast(missed, ti.i64))
             if taken > 0:
                 ti.atomic_min(low, ti.bit_cast(ti.cast(shortest, ti.f32), ti.i32))
                 ti.atomic_max(high, ti.bit_cast(ti.cast(longest, ti.f32), ti.i32))
-        return ti.Vector([steps, ti.cast(low, ti.i64), ti.cast(high, ti.i64)])
+        return ti.Vector([steps, rejected, ti.cast(low, ti.i64), ti.cast(high, ti.i64), ti.cast(stuck, ti.i64)])
 
     @ti.func
-    def _advance_block(self, block, count, t0, t1, dt, size, ops: ti.template(), coefficients: ti.template()):
+    def _advance_block(
+        self,
+        block,
+        count,
+        t0,
+        t1,
+        dt,
+        size,
+        ops: ti.template(),
+        edges: ti.template(),
+        coefficients: ti.template(),
+        target: ti.template(),
+    ):
         lanes = ti.static(self.lanes)
-        m = ti.static(len(self.state))
-        z0 = [ti.Vector([0.0] * lanes) for _ in range(m)]
-        z = [ti.Vector([0.0] * lanes) for _ in range(m)]
-        k = [ti.Vector([0.0] * (lanes * self.slopes)) for _ in range(m)]
-        u = [ti.Vector([0.0] * lanes) for _ in range(3)]
-        left, start, h = ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes)
-        age, sizes = ti.Vector([0.0] * lanes), ti.Vector([0.0] * lanes)
+        vectors = [ti.Vector([0.0] * lanes) for _ in range(ti.static(self.width))]
+        slopes = [ti.Vector([0.0] * (lanes * self.table.scheme.registers)) for _ in range(ti.static(len(self.state)))]
+        b = ti.static([_Block(self.layout, vectors, slopes, self.lanes)])[0]
+        span, start = ti.cast(t1 - t0, float), ti.cast(t0, float)
+        self._load(b, block, count, t0, t1, dt, size)
         longest = ti.cast(0.0, float)
         for lane in range(lanes):
-            i = block * lanes + lane
-            for d in ti.static(range(m)):
-                z0[d][lane] = self.state[d][i]
-                z[d][lane] = z0[d][lane]
-            birth = self.columns["birth"][0][i]
-            begin = ti.max(t0, birth)
-            left[lane] = ti.select(i < count, ti.cast(t1 - begin, float), 0.0)
-            start[lane] = ti.cast(t1 - t0, float)
-            age[lane] = ti.cast(t0 - birth, float)
-            sizes[lane] = size
-            if ti.static("size" in self.columns):
-                sizes[lane] = self.columns["size"][0][i]
-            longest = ti.max(longest, left[lane])
-        taken = ti.Vector([0] * lanes)
-        shortest, longest_step = ti.Vector([ti.math.inf] * lanes), ti.Vector([0.0] * lanes)
-        probing = ti.cast(ti.static(1 if self.probes else 0), ti.i32)
+            longest = ti.max(longest, b.left[lane])
+        fresh, probing, stuck = 0, ti.cast(ti.static(1 if self.probes else 0), ti.i32), NOBODY
         while longest > 0.0 or probing > 0:
-            first, last = 0, ops.shape[0] - 1
+            first, last, starting = edges[0] + fresh, edges[1], 0
             if longest <= 0.0:
-                first, last, probing = last, last + 1, 0
-            for lane in range(lanes):
-                h[lane] = ti.select(left[lane] > 0.0, ti.min(left[lane], self.clamp(left[lane], dt)), 0.0)
-            for op in range(first, last):
-                if ops[op, 0] == _COMBINE:
-                    self._combine(op, coefficients, z0, z, k, h)
-                else:
-                    self._evaluate(op, ops, coefficients, z, k, u, h, start, left, age, sizes, ti.cast(t0, float))
-            longest = 0.0
-            for lane in range(lanes):
-                # A lane that has arrived keeps its state to the bit, even where 0 * k is NaN.
-                for d in ti.static(range(m)):
-                    z0[d][lane] = ti.select(h[lane] > 0.0, z[d][lane], z0[d][lane])
-                    z[d][lane] = z0[d][lane]
-                taken[lane] += ti.select(h[lane] > 0.0, 1, 0)
-                shortest[lane] = ti.min(shortest[lane], ti.select(h[lane] > 0.0, h[lane], ti.math.inf))
-                longest_step[lane] = ti.max(longest_step[lane], h[lane])
-                left[lane] -= h[lane]
-                longest = ti.max(longest, left[lane])
-        for lane in range(lanes):
-            i = block * lanes + lane
+                first, last, probing = edges[4], edges[4] + 1, 0
+            elif ti.static(not self.pace.counted):
+                starting = self.pace.choose(b, dt, span)
+                if starting > 0:
+                    first, last = edges[1] + fresh, edges[2]
+            self._walk(b, first, last, ops, coefficients, span, start)
+            if longest > 0.0:
+                if ti.static(not self.pace.counted):
+                    stuck = ti.min(stuck, self.pace.judge(b, block, coefficients, target, dt, span))
+                if ti.static(self.table.shifts):
+                    for op in range(edges[2 + starting], edges[3 + starting]):
+                        self._shift(b, op, ops)
+                longest = self.pace.commit(b)
+                fresh = ti.static(self.reuses)
+        self._store(b, block)
+        return self.pace.totals(b, stuck)
+
+    @ti.func
+    def _load(self, b: ti.template(), block, count, t0, t1, dt, size):
+        m = ti.static(len(self.state))
+        for lane in range(b.lanes):
+            i = block * b.lanes + lane
             for d in ti.static(range(m)):
-                self.state[d][i] = z0[d][lane]
+                b.z0[d][lane] = self.state[d][i]
+                b.z[d][lane] = b.z0[d][lane]
+            birth = self.columns["birth"][0][i]
+            b.left[lane] = ti.select(i < count, ti.cast(t1 - ti.max(t0, birth), float), 0.0)
+            b.age[lane] = ti.cast(t0 - birth, float)
+            b.size[lane] = size
+            if ti.static("size" in self.columns):
+                b.size[lane] = self.columns["size"][0][i]
+            self.pace.load(b, lane, i, birth >= t0, dt, ti.cast(t1 - t0, float))
+
+    @ti.func
+    def _store(self, b: ti.template(), block):
+        m = ti.static(len(self.state))
+        for lane in range(b.lanes):
+            i = block * b.lanes + lane
+            for d in ti.static(range(m)):
+                self.state[d][i] = b.z0[d][lane]
             if ti.static(self.probes):
                 for d in ti.static(range(3)):
-                    self.columns["v"][d][i] = k[d][lane]
-        return taken.sum(), shortest.min(), longest_step.max()
+                    self.columns["v"][d][i] = b.k[d][lane]
+            self.pace.store(b, lane, i)
 
     @ti.func
-    def _combine(
-        self,
-        op,
-        coefficients: ti.template(),
-        z0: ti.template(),
-        z: ti.template(),
-        k: ti.template(),
-        h: ti.template(),
-    ):
-        """z = z0 + dt sum_j w_j k_j."""
-        lanes, m = ti.static(self.lanes, len(self.state))
-        for lane in range(lanes):
+    def _walk(self, b: ti.template(), first, last, ops: ti.template(), coefficients: ti.template(), span, start):
+        """Run ops first..last-1 of the program."""
+        for op in range(first, last):
+            kind = ops[op, 0]
+            if kind == _COMBINE:
+                self._combine(b, op, ops, coefficients)
+            if ti.static(_KICK in self.table.kinds):
+                if kind == _KICK:
+                    self._kick(b, op, coefficients)
+            if ti.static(_DRIFT in self.table.kinds):
+                if kind == _DRIFT:
+                    for lane in range(b.lanes):
+                        for d in ti.static(range(3)):
+                            b.z[d][lane] += coefficients[op, 1] * b.h[lane] * b.z[3 + d][lane]
+            if ti.static(self.table.rotates):
+                if kind == _ROTATE:
+                    for lane in range(b.lanes):
+                        for d in ti.static(range(len(self.state))):
+                            slope = b.k[d][ops[op, 2] * b.lanes + lane]
+                            held = b.k[d][ops[op, 1] * b.lanes + lane]
+                            b.k[d][ops[op, 1] * b.lanes + lane] = ti.select(b.h[lane] > 0.0, slope, held)
+            if ti.static(not self.table.implicit):
+                if kind == _EVALUATE:
+                    self._evaluate(b, ops[op, 1] * b.lanes, coefficients[op, 0], span, start)
+            else:
+                if (kind == _EVALUATE) | (kind == _SOLVE):
+                    self._evaluate_or_solve(b, op, ops, coefficients, span, start)
+
+    @ti.func
+    def _evaluate_or_solve(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template(), span, start):
+        """An implicit stage is a number of evaluations: one copy of the law serves both kinds of op."""
+        solving, linear, slot = ops[op, 0] == _SOLVE, ops[op, 3], ops[op, 1] * b.lanes
+        rounds, r = 1, 0
+        if solving:
+            rounds = ti.select(linear > 0, self.newton.rounds_linear, self.newton.rounds)
+            for lane in range(b.lanes):
+                b.w[lane] = self._weight(b, op, 0, lane, coefficients)
+            self.newton.begin(b, linear)
+        while r < rounds:
+            self._evaluate(b, slot, coefficients[op, 0], span, start)
+            if solving:
+                if self.newton.digest(b, slot, r, linear) > 0:
+                    r = rounds
+            r += 1
+        if solving:
+            self.newton.finish(b, slot)
+            for lane in range(b.lanes):
+                b.failed[lane] = ti.max(b.failed[lane], b.waiting[lane])
+
+    @ti.func
+    def _weight(self, b: ti.template(), op, j, lane, coefficients: ti.template()):
+        """Return weight `j` of an op; with steps of varying size (n0 + n1 r) / (1 + d r), r the ratio to the last one."""
+        w = coefficients[op, 1 + j]
+        if ti.static(self.table.variable):
+            at, r = ti.static(1 + self.table.scheme.registers) + 3 * j, b.ratio[lane]
+            w = (coefficients[op, at] + coefficients[op, at + 1] * r) / (1.0 + coefficients[op, at + 2] * r)
+        return w
+
+    @ti.func
+    def _combine(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
+        """z = z0 + dt sum_j w_j k_j, from the first j whose weight is not 0."""
+        m = ti.static(len(self.state))
+        first = ops[op, 2]
+        for lane in range(b.lanes):
+            w = self._weight(b, op, first, lane, coefficients) * b.h[lane]
             for d in ti.static(range(m)):
-                z[d][lane] = z0[d][lane]
-        for j in range(self.slopes):
-            w = coefficients[op, 1 + j]
-            if w != 0.0:
-                for lane in range(lanes):
+                b.z[d][lane] = b.z0[d][lane] + w * b.k[d][first * b.lanes + lane]
+        for j in range(first + 1, self.table.scheme.registers):
+            if coefficients[op, 1 + j] != 0.0:
+                for lane in range(b.lanes):
+                    w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
                     for d in ti.static(range(m)):
-                        z[d][lane] += (w * h[lane]) * k[d][j * lanes + lane]
+                        b.z[d][lane] += w * b.k[d][j * b.lanes + lane]
 
     @ti.func
-    def _evaluate(
-        self,
-        op,
-        ops: ti.template(),
-        coefficients: ti.template(),
-        z: ti.template(),
-        k: ti.template(),
-        u: ti.template(),
-        h: ti.template(),
-        start: ti.template(),
-        left: ti.template(),
-        age: ti.template(),
-        sizes: ti.template(),
-        t0,
-    ):
-        """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term."""
-        lanes, m = ti.static(self.lanes, len(self.state))
-        c, slot = coefficients[op, 0], ops[op, 1] * lanes
-        for lane in range(lanes):
-            for d in ti.static(range(m)):
-                k[d][slot + lane] = 0.0
-        for term in ti.static(self.terms):
-            if ti.static(term.resets_flow):
-                for lane in range(lanes):
+    def _kick(self, b: ti.template(), op, coefficients: ti.template()):
+        """v += dt sum_j w_j a_j."""
+        for j in range(self.table.scheme.registers):
+            if coefficients[op, 1 + j] != 0.0:
+                for lane in range(b.lanes):
+                    w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
                     for d in ti.static(range(3)):
-                        u[d][lane] = 0.0
+                        b.z[3 + d][lane] += w * b.k[3 + d][j * b.lanes + lane]
+
+    @ti.func
+    def _evaluate(self, b: ti.template(), slot, c, span, start):
+        """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term; the first to write a component sets it."""
+        m = ti.static(len(self.state))
+        for term, sets in ti.static(self.firsts):
             for p in range(term.passes):
-                for lane in range(lanes):
+                for lane in range(b.lanes):
                     # time since the frame began: what is done, plus the stage
-                    tau = start[lane] - left[lane] + c * h[lane]
+                    tau = span - b.left[lane] + c * b.h[lane]
                     value = self._rate(
                         term,
                         p,
-                        t0 + tau,
-                        ti.Vector([z[d][lane] for d in ti.static(range(m))]),
-                        ti.Vector([u[d][lane] for d in ti.static(range(3))]),
-                        ti.Vector([age[lane] + tau, sizes[lane]]),
+                        start + tau,
+                        ti.Vector([b.z[d][lane] for d in ti.static(range(m))]),
+                        ti.Vector([b.u[d][lane] for d in ti.static(range(3))]),
+                        ti.Vector([b.age[lane] + tau, b.size[lane]]),
                     )
                     for d in ti.static(range(term.width)):
                         if ti.static(term.first == FLOW_REGISTER):
-                            u[d][lane] += value[d]
+                            b.u[d][lane] = self._sum(sets, term.passes, p, b.u[d][lane], value[d])
                         else:
-                            k[term.first + d][slot + lane] += value[d]
+                            i = slot + lane
+                            b.k[term.first + d][i] = self._sum(sets, term.passes, p, b.k[term.first + d][i], value[d])
+
+    @ti.func
+    def _sum(self, sets: ti.template(), passes: ti.template(), p, before, value):
+        total = before + value
+        if ti.static(sets and passes == 1):
+            total = value
+        elif ti.static(sets):
+            total = ti.select(p > 0, before, 0.0) + value
+        return total
+
+    @ti.func
+    def _shift(self, b: ti.template(), op, ops: ti.template()):
+        """ROTATE and DIFFERENCE, for the lanes whose step is accepted."""
+        to, source = ops[op, 1] * b.lanes, ops[op, 2] * b.lanes
+        for lane in range(b.lanes):
+            for d in ti.static(range(len(self.state))):
+                value = b.k[d][source + lane]
+                if ti.static(_DIFFERENCE in self.table.kinds):
+                    if ops[op, 0] == _DIFFERENCE:
+                        value = (b.z[d][lane] - b.z0[d][lane]) / b.h[lane]
+                b.k[d][to + lane] = ti.select(self.pace.accepted(b, lane), value, b.k[d][to + lane])

@@ -54,25 +54,29 @@ def bytes_per_particle(names: Iterable[str], precision: str) -> int:
     return sum(ATTRIBUTES[name].bytes(precision) for name in names)
 
 
-def bytes_allocated(names: Iterable[str], precision: str) -> int:
+def bytes_allocated(names: Iterable[str], precision: str, more: Iterable[Attribute] = ()) -> int:
     """Return the most bytes that a slot takes: its attributes, a GPU's scratch for compaction, the mark of the dead."""
     kinds = {precision if ATTRIBUTES[name].kind == "real" else ATTRIBUTES[name].kind for name in names}
-    return bytes_per_particle(names, precision) + sum(int(kind[1:]) // 8 for kind in kinds) + 4
+    each = bytes_per_particle(names, precision) + sum(attribute.bytes(precision) for attribute in more)
+    return each + sum(int(kind[1:]) // 8 for kind in kinds) + 4
 
 
 class Columns:
     """The particles' attributes as a structure of arrays: each scalar component in its own contiguous field.
 
     Arguments:
-        names: which attributes to allocate.
+        names: which attributes of the table to allocate.
         capacity: the most particles at once; padded to whole lane blocks.
+        more: attributes beside the table, of a width that only the stepper knows.
 
     Raises:
         InputError: more particles than 32-bit indices can address.
     """
 
-    def __init__(self, names: Iterable[str], capacity: int):
-        self.names = tuple(name for name in ATTRIBUTES if name in set(names))
+    def __init__(self, names: Iterable[str], capacity: int, *, more: Iterable[Attribute] = ()):
+        wanted = [ATTRIBUTES[name] for name in ATTRIBUTES if name in set(names)]
+        wanted += more
+        self.names = tuple(attribute.name for attribute in wanted)
         if capacity >= 2**31 - 64:
             raise InputError(
                 f"{capacity} particles at once: at most {2**31 - 64} fit one group; split it into several groups"
@@ -81,8 +85,8 @@ class Columns:
         self.capacity = capacity
         self.padded = max(1, -(-capacity // lanes)) * lanes
         self._fields = {
-            name: tuple(ti.field(ATTRIBUTES[name].type, self.padded) for _ in range(ATTRIBUTES[name].components))
-            for name in self.names
+            attribute.name: tuple(ti.field(attribute.type, self.padded) for _ in range(attribute.components))
+            for attribute in wanted
         }
 
     def __contains__(self, name: str) -> bool:

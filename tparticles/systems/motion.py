@@ -23,6 +23,8 @@ class Advected:
 
     order = 1
     state = ("x",)
+    velocity_free = True
+    damping = 0.0
 
     def __post_init__(self) -> None:
         check_flow("Advected.flow", self.flow)
@@ -52,6 +54,16 @@ class Newtonian:
         object.__setattr__(
             self, "forces", tuple(self.forces) if isinstance(self.forces, tuple | list) else (self.forces,)
         )
+
+    @property
+    def velocity_free(self) -> bool:
+        """Whether no force depends on v, as far as the forces say."""
+        return all(getattr(force, "velocity_free", False) for force in self.forces)
+
+    @property
+    def damping(self) -> float:
+        """The rate at which v certainly relaxes [1/s]."""
+        return sum(force.damping() for force in self.forces if hasattr(force, "damping"))
 
     def terms(self, parameters: Any) -> list[terms.Term]:
         """Return the terms of dx/dt and dv/dt."""

@@ -1,0 +1,256 @@
+"""The pace of a block: which step each lane takes next, whether it is accepted, and what it remembers of its past.
+
+Three cases. Counted: steps of one size, known before the first. With a past: a scheme that looks back at earlier steps, with
+its starter. By choice: the particles choose, by the error of a step or by whether Newton's method found its solution.
+"""
+
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportOptionalMemberAccess=false, reportOperatorIssue=false
+
+import taichi as ti
+
+from .. import backend
+from ..schemes import Scheme
+from ..systems.attributes import Attribute, Columns
+from .control import CLAMPS, LARGEST_FACTOR, Tolerance, step_factor
+from .table import Table
+
+NOBODY = 0x7FFFFFFF
+_NO_NUMBER = 1e12  # the error where the estimate is none
+_GROWTH = 2.4  # BDF2 is zero-stable for step ratios below 1 + sqrt 2 (Hairer, Norsett, Wanner I, III.5)
+
+
+def memory(scheme: Scheme, components: int, *, adaptive: bool) -> tuple[Attribute, ...]:
+    """Return the attributes that particles of a state of `components` numbers carry from frame to frame for their steps.
+
+    `history`: the carried registers, then the last dt [s] and how many steps it holds. `dt`: the next step to try.
+    """
+    found = []
+    if scheme.steps_back:
+        width = len(scheme.carried) * components + 2
+        found.append(Attribute("history", width, "real", "", f"the past that {scheme.name} looks back at"))
+    if adaptive:
+        found.append(Attribute("dt", 1, "real", "s", "next step, where particles choose their own"))
+    return tuple(found)
+
+
+@ti.data_oriented
+class Pace:
+    """The pace of particles whose state has `components` numbers.
+
+    Arguments:
+        table: the scheme's programs.
+        components: numbers in a state.
+        clamp: how steps are fitted to the frame, a key of `CLAMPS`.
+        tolerance: what errors are held against, or None.
+        columns: holds the attributes of `memory`.
+    """
+
+    def __init__(self, table: Table, components: int, *, clamp: str, tolerance: Tolerance | None, columns: Columns):
+        scheme = table.scheme
+        self.table, self.components, self.tolerance = table, components, tolerance
+        self.clamp = CLAMPS[clamp]
+        self.adaptive = tolerance is not None
+        self.steps_back = scheme.steps_back
+        self.chooses = self.adaptive or table.implicit
+        # Equal steps of one size for each particle are counted beforehand; all else decides anew after every step.
+        self.counted = clamp == "equal" and not (self.chooses or self.steps_back)
+        if tolerance is not None:
+            lower = min(scheme.order, scheme.error_order)
+            self.exponent = 1 / (lower if tolerance.per_unit_step else lower + 1)
+            self.tried = columns["dt"][0]
+        f64 = backend.current().precision == "f64"
+        self.smallest = 2.0 ** (-40 if f64 else -20)  # step, in frames
+        self.unequal = 1e-9 if f64 else 1e-4  # what rounding may do to equal steps
+        if self.steps_back:
+            fields = iter(columns["history"])
+            self.past = [(register, d, next(fields)) for register in scheme.carried for d in range(components)]
+            self.last_dt, self.steps_held = next(fields), next(fields)
+
+    def vectors(self) -> dict[str, int]:
+        """Return the local vectors that a block needs: name, and how many."""
+        names: dict[str, int] = dict.fromkeys(
+            ("left", "h", "taken", "shortest", "longest", "todo" if self.counted else "ok"), 1
+        )
+        if self.chooses:
+            names |= {"wish": 1, "calm": 1, "missed": 1, "failed": 1}
+        if self.adaptive:
+            names |= {"estimate": self.components, "error": 1}
+        if self.steps_back:
+            names |= {"last": 1, "filled": 1, "ratio": 1}
+        return names
+
+    @ti.func
+    def load(self, b: ti.template(), lane, i, newborn, dt, span):
+        """Set out with particle `i` in `lane`, whose time left is known."""
+        b.shortest[lane] = ti.math.inf
+        if ti.static(self.counted):
+            self.count(b, lane, dt, span)
+        if ti.static(self.chooses):
+            b.wish[lane] = dt
+            b.calm[lane] = 1.0
+        if ti.static(self.adaptive):
+            b.wish[lane] = ti.select(newborn, dt, ti.min(self.tried[i], dt))
+        if ti.static(self.steps_back > 0):
+            for register, d, past in ti.static(self.past):
+                b.k[d][register * b.lanes + lane] = past[i]
+            b.last[lane] = self.last_dt[i]
+            b.filled[lane] = ti.select(newborn, 0.0, self.steps_held[i])
+
+    @ti.func
+    def store(self, b: ti.template(), lane, i):
+        """Keep what particle `i` remembers until the next frame."""
+        if ti.static(self.adaptive):
+            self.tried[i] = b.wish[lane]
+        if ti.static(self.steps_back > 0):
+            for register, d, past in ti.static(self.past):
+                past[i] = b.k[d][register * b.lanes + lane]
+            self.last_dt[i] = b.last[lane]
+            self.steps_held[i] = b.filled[lane]
+
+    @ti.func
+    def count(self, b: ti.template(), lane, dt, span):
+        """All steps of a lane are equal: find their size and number before the first."""
+        left = b.left[lane]
+        h = ti.select(left > 0.0, ti.min(left, self.clamp(left, dt, span)), 0.0)
+        b.h[lane] = h
+        b.todo[lane] = ti.select(left > 0.0, ti.round(left / h), 0.0)
+        b.taken[lane] = b.todo[lane]
+        b.shortest[lane] = ti.select(left > 0.0, h, ti.math.inf)
+        b.longest[lane] = h
+
+    @ti.func
+    def choose(self, b: ti.template(), dt, span):
+        """Set every lane's next step, 0 where it has arrived or has to wait; return 1 if this is a starting step.
+
+        Lanes that need the starter and lanes that do not take turns.
+        """
+        for lane in range(b.lanes):
+            wish = dt
+            if ti.static(self.chooses):
+                wish = b.wish[lane]
+            left = b.left[lane]
+            b.h[lane] = ti.select(left > 0.0, ti.min(left, self.clamp(left, wish, span)), 0.0)
+        starting = 0
+        if ti.static(self.steps_back > 0):
+            for lane in range(b.lanes):
+                h, last = b.h[lane], b.last[lane]
+                fits = ti.abs(h - last) <= ti.static(self.unequal) * h
+                if ti.static(self.table.variable):
+                    fits = h <= _GROWTH * last
+                b.filled[lane] = ti.select((h > 0.0) & ~fits, 0.0, b.filled[lane])
+                b.ratio[lane] = ti.select(b.filled[lane] > 0.0, h / last, 1.0)
+                starting = ti.max(starting, ti.select((h > 0.0) & (b.filled[lane] < self.steps_back), 1, 0))
+            if starting > 0:
+                for lane in range(b.lanes):
+                    b.h[lane] = ti.select(b.filled[lane] < self.steps_back, b.h[lane], 0.0)
+        return starting
+
+    @ti.func
+    def judge(self, b: ti.template(), block, coefficients: ti.template(), target: ti.template(), dt, span):
+        """Accept or reject each lane's step and say what it tries next; return the slot of a lane that finds no step."""
+        stuck = NOBODY
+        if ti.static(self.adaptive):
+            self._measure(b, coefficients, target, span)
+        for lane in range(b.lanes):
+            h = b.h[lane]
+            fine = ti.select(h > 0.0, 1.0, 0.0)
+            if ti.static(self.chooses):
+                factor, lost = ti.cast(2.0, float), ti.cast(0.0, float)
+                if ti.static(self.adaptive):
+                    e = b.error[lane]
+                    factor = step_factor(e, b.calm[lane], ti.static(self.exponent))
+                    fine *= ti.select(e <= 1.0, 1.0, 0.0)
+                    lost = ti.select(e > ti.static(_NO_NUMBER / 2), 1.0, 0.0)
+                    b.calm[lane] = ti.select(fine > 0.0, e, b.calm[lane])
+                if ti.static(self.table.implicit):
+                    fine *= 1.0 - b.failed[lane]
+                    factor = ti.select(b.failed[lane] > 0.0, 0.5, factor)
+                    lost = ti.max(lost, ti.select(b.norm[lane] == ti.math.inf, b.failed[lane], 0.0))
+                    b.failed[lane] = 0.0
+                # A step that the frame's end cut short says little about longer ones.
+                grown = ti.select(factor >= ti.static(LARGEST_FACTOR), ti.max(b.wish[lane], factor * h), factor * h)
+                if ti.static(not self.adaptive):
+                    grown = ti.select(fine > 0.0, 2.0 * b.wish[lane], factor * h)
+                # No step at all: leave the loop. What is no number is left in the state, for the guard that names it.
+                hopeless = (h > 0.0) & (fine == 0.0) & (grown < ti.static(self.smallest) * span)
+                b.wish[lane] = ti.select(h > 0.0, ti.min(grown, dt), b.wish[lane])
+                if hopeless:
+                    b.left[lane] = h
+                    fine = 1.0
+                    if lost > 0.0:
+                        b.z[0][lane] = ti.math.nan
+                    else:
+                        stuck = ti.min(stuck, block * b.lanes + lane)
+                b.missed[lane] += ti.select((h > 0.0) & (fine == 0.0), 1.0, 0.0)
+            b.ok[lane] = fine
+            b.taken[lane] += fine
+            b.shortest[lane] = ti.min(b.shortest[lane], ti.select(fine > 0.0, h, ti.math.inf))
+            b.longest[lane] = ti.max(b.longest[lane], fine * h)
+        return stuck
+
+    @ti.func
+    def _measure(self, b: ti.template(), coefficients: ti.template(), target: ti.template(), span):
+        """error = the estimate dt sum_j e_j k_j, in units of what is allowed."""
+        m, row = ti.static(self.components, len(self.table.ops))
+        for lane in range(b.lanes):
+            for d in ti.static(range(m)):
+                b.estimate[d][lane] = 0.0
+        for j in range(self.table.scheme.registers):
+            e = coefficients[row, 1 + j]
+            if e != 0.0:
+                for lane in range(b.lanes):
+                    for d in ti.static(range(m)):
+                        b.estimate[d][lane] += (e * b.h[lane]) * b.k[d][j * b.lanes + lane]
+        for lane in range(b.lanes):
+            error = self.tolerance.error(
+                target,
+                ti.Vector([b.estimate[d][lane] for d in ti.static(range(m))]),
+                ti.Vector([b.z0[d][lane] for d in ti.static(range(m))]),
+                ti.Vector([b.z[d][lane] for d in ti.static(range(m))]),
+                b.h[lane],
+                span,
+            )
+            bad = ti.math.isnan(error) | ti.math.isinf(error)
+            b.error[lane] = ti.select(bad, _NO_NUMBER, ti.math.clamp(error, 1e-12, _NO_NUMBER))
+
+    @ti.func
+    def accepted(self, b: ti.template(), lane):
+        """Return whether a lane has made a step that counts."""
+        accepted = b.h[lane] > 0.0
+        if ti.static(not self.counted):
+            accepted = b.ok[lane] > 0.0
+        return accepted
+
+    @ti.func
+    def commit(self, b: ti.template()):
+        """z0 = z where the step is accepted, z = z0 where not; return the longest time that is left.
+
+        A lane without a step keeps its state to the bit, even where 0 * k is NaN.
+        """
+        longest = ti.cast(0.0, float)
+        for lane in range(b.lanes):
+            accepted = self.accepted(b, lane)
+            for d in ti.static(range(self.components)):
+                b.z0[d][lane] = ti.select(accepted, b.z[d][lane], b.z0[d][lane])
+                b.z[d][lane] = b.z0[d][lane]
+            if ti.static(self.counted):
+                b.todo[lane] = ti.max(b.todo[lane] - 1.0, 0.0)
+                b.left[lane] = b.todo[lane] * b.h[lane]
+                b.h[lane] = ti.select(b.todo[lane] > 0.0, b.h[lane], 0.0)
+            else:
+                b.left[lane] -= ti.select(accepted, b.h[lane], 0.0)
+            if ti.static(self.steps_back > 0):
+                b.last[lane] = ti.select(accepted, b.h[lane], b.last[lane])
+                filled = ti.min(b.filled[lane] + 1.0, ti.static(float(self.steps_back)))
+                b.filled[lane] = ti.select(accepted, filled, b.filled[lane])
+            longest = ti.max(longest, b.left[lane])
+        return longest
+
+    @ti.func
+    def totals(self, b: ti.template(), stuck):
+        """Return steps, rejected tries, the smallest and the largest step of the block, and `stuck`."""
+        missed = 0
+        if ti.static(self.chooses):
+            missed = ti.cast(b.missed.sum(), ti.i32)
+        return ti.cast(b.taken.sum(), ti.i32), missed, b.shortest.min(), b.longest.max(), stuck

@@ -1,0 +1,87 @@
+"""A scheme's program as the arrays that kernels walk, and what has to be known of it when they are compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..schemes import Op, OpKind, Scheme
+
+
+@dataclass(frozen=True)
+class Table:
+    """The programs of a scheme in one table of ops.
+
+    `ops`, int32 (n, 4): kind; register written; register read by a ROTATE, else the first with a weight; whether a SOLVE is linear.
+    `edges`: where in it the parts begin: the program, the starter's, what follows an accepted step of the one and of the other, the
+    probe k_0 = f(t, z), the row of error weights.
+    `coefficients`, (n + 1, w): time and weights of each op, after them (n0, n1, d) for each weight where steps vary; in the last
+    row the error weights.
+    """
+
+    scheme: Scheme
+    ops: np.ndarray
+    edges: np.ndarray
+    coefficients: np.ndarray
+    inner: tuple[Op, ...]  # ops that run before it is known whether the step is accepted
+
+    @classmethod
+    def of(cls, scheme: Scheme) -> Table:
+        """Lay out the programs of `scheme`."""
+        run, after = _split(scheme.ops)
+        start, after_start = _split(scheme.starting_ops)
+        parts = [run, start, [*after, *scheme.history], [*after_start, *scheme.history], [Op(OpKind.EVALUATE)]]
+        ops = [op for part in parts for op in part]
+        width, variable = scheme.registers, any(op.variable for op in ops)
+        table = np.zeros((len(ops), 4), np.int32)
+        rows = np.zeros((len(ops) + 1, 1 + width * (4 if variable else 1)))
+        for i, op in enumerate(ops):
+            first = next((j for j, weight in enumerate(op.weights) if weight), 0)
+            table[i] = op.kind, op.slope, op.source if op.kind is OpKind.ROTATE else first, op.linear
+            rows[i, 0] = op.time
+            rows[i, 1 : 1 + len(op.weights)] = op.weights
+            if variable:
+                triples = op.variable or [(weight, 0.0, 0.0) for weight in op.weights]
+                rows[i, 1 + width : 1 + width + 3 * len(triples)] = np.ravel(triples)
+        rows[-1, 1 : 1 + len(scheme.error_weights)] = scheme.error_weights
+        edges = np.cumsum([0, *map(len, parts)]).astype(np.int32)
+        return cls(scheme, table, edges, rows, (*run, *start))
+
+    @cached_property
+    def kinds(self) -> frozenset[int]:
+        """The kinds of ops that occur."""
+        return frozenset(int(kind) for kind in self.ops[:, 0])
+
+    @property
+    def implicit(self) -> bool:
+        """Whether a stage has to be solved for, by the scheme or its starter."""
+        return int(OpKind.SOLVE) in self.kinds
+
+    @property
+    def rotates(self) -> bool:
+        """Whether slopes are copied within a step."""
+        return any(op.kind is OpKind.ROTATE for op in self.inner)
+
+    @property
+    def shifts(self) -> bool:
+        """Whether slopes are copied after a step."""
+        return bool(self.edges[4] > self.edges[2])
+
+    @property
+    def variable(self) -> bool:
+        """Whether weights depend on the ratio of a step to the one before."""
+        return self.coefficients.shape[1] > 1 + self.scheme.registers
+
+    def reuses(self, *, velocity_free: bool) -> bool:
+        """Whether k_0 of the next step is known: nothing changes v after its evaluation, or v does not matter."""
+        scheme = self.scheme
+        known = scheme.reuses and (scheme.starter is None or scheme.starter.reuses)
+        return known and (velocity_free or not scheme.kicks_after_evaluation)
+
+
+def _split(ops: tuple[Op, ...]) -> tuple[list[Op], list[Op]]:
+    """Split a program behind the last op that computes something: copies after it wait until the step is accepted."""
+    end = max((i + 1 for i, op in enumerate(ops) if op.kind is not OpKind.ROTATE), default=0)
+    return list(ops[:end]), list(ops[end:])
