@@ -88,6 +88,12 @@ def row(table: Table, name: str, times: list[float], note: str = "") -> None:
     table.add(name, f"{min(times):.1f}", f"{statistics.median(times):.1f}", note)
 
 
+def cleared(film, light: Callable[[], object]) -> float:
+    """Return how long it takes to clear the film of some light [ms]."""
+    light()
+    return once(film.clear)
+
+
 def main() -> None:
     """Print the table; leave with 1 if threads change a bit."""
     backend.start(arch="cpu", threads=THREADS)
@@ -96,7 +102,7 @@ def main() -> None:
     film, dots = Film(*SIZE), Dots(1_000_000)
     curve = np.linspace(0.0, 255.0, 4096)
     one = dots.upload(100.0, 100.0, sigma=SIGMA, energy=(1.0, 1.0, 1.0))
-    works = [film.clear, lambda: film.add(dots, one), lambda: film.develop(curve, 1.0)]
+    works = [lambda: film.add(dots, one), film.clear, lambda: film.develop(curve, 1.0)]
     first = [once(work) for work in works]
     table = Table(f"Film, {WIDTH}x{HEIGHT}, {THREADS} threads, {ROUNDS} rounds", ("work", "min [ms]", "median", ""))
     against_peer(table, film, dots)
@@ -105,16 +111,23 @@ def main() -> None:
     for name, (columns, sigma) in kinds.items():
         count = dots.upload(**columns, sigma=sigma)
         row(table, name, [once(lambda n=count: film.add(dots, n)) for _ in range(ROUNDS)])
-    row(table, "develop", [once(works[2]) for _ in range(ROUNDS)])
+    row(table, "develop, all lit", [once(works[2]) for _ in range(ROUNDS)])
     film.set_background(np.full((HEIGHT, WIDTH, 3), 0.01))
     works[2]()
-    row(table, "develop with a background", [once(works[2]) for _ in range(ROUNDS)])
-    row(table, "clear", [once(film.clear) for _ in range(ROUNDS)])
+    row(table, "develop with a background, all lit", [once(works[2]) for _ in range(ROUNDS)])
+    whole = film.sums()
+    row(table, "clear, all lit", [cleared(film, lambda: film.merge(whole)) for _ in range(ROUNDS)])
+    few = {name: 0.3 * column if name in ("u", "v") else column for name, column in scene(2000).items()}
+    count = dots.upload(**few, sigma=5.0)
+    row(table, "clear, a tenth lit", [cleared(film, lambda: film.add(dots, count)) for _ in range(ROUNDS)])
+    film.add(dots, count)
+    works[2]()
+    row(table, "develop, a tenth lit", [once(works[2]) for _ in range(ROUNDS)])
     row(table, "sums to NumPy", [once(film.sums) for _ in range(ROUNDS)])
     table.print()
     print(
         "\nFirst calls (compiled, or from the cache): "
-        + ", ".join(f"{name} {ms:.0f} ms" for name, ms in zip(("clear", "add", "develop"), first, strict=True))
+        + ", ".join(f"{name} {ms:.0f} ms" for name, ms in zip(("add", "clear", "develop"), first, strict=True))
     )
     same = digest(1) == digest(2)
     print(f"1 and 2 threads: {'the same bits' if same else 'DIFFERENT BITS'}")

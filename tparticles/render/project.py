@@ -9,7 +9,7 @@ import taichi as ti
 
 from .appearance import Appearance, Glow
 from .blackbody import BlackbodyTable
-from .film import Dots
+from .dots import Dots
 from .look import Look
 
 # Standard deviation [px] of the pixel filter: a dot smaller than a pixel still has a smooth, alias-free footprint.

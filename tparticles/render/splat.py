@@ -27,13 +27,31 @@ ENERGY_MAX = 2.0**30  # [film white px]; 2^30 / QUANTUM leaves 9 bits of headroo
 
 BLOCK = 5  # pixels in a block: a dot with R = 2 is one block wide
 LANES = 16  # i64 in a block: 5 pixels of 3 channels and a zero, whole vector registers
-PAD = 8  # [px]; at least BLOCK + 1
+WIDE = 8  # pixels in a block of a wider dot
+PAD = 8  # [px]; at least BLOCK + 1 and WIDE
+
+# A band is owned by one thread at a time. It consists of tiles, which begin at the padding.
+BAND_BITS, TILE_BITS = 4, 5
+BAND = 1 << BAND_BITS  # rows
+TILE = 1 << TILE_BITS  # [px]
 
 # Width of a quadrature panel and length up to which one dot in the middle is good, both in sigma.
 _PANEL = 1.75
 _POINT = 0.25
 _NODE = 0.28867513459481287  # 1 / (2 sqrt 3): distance of the two nodes from the middle of a panel of width 1
 NO_WRAP = (1 << 30) - 1
+
+
+@ti.pyfunc
+def stride(width):
+    """Return how many values a padded row of `width` pixels has."""
+    return (width + 2 * PAD) * 3
+
+
+@ti.pyfunc
+def tiles(width):
+    """Return how many tiles a padded row of `width` pixels has."""
+    return (width + 2 * PAD + TILE - 1) >> TILE_BITS
 
 
 @ti.func
@@ -118,6 +136,24 @@ def add_row(film: ti.template(), base, row, weight):
 
 
 @ti.func
+def wide_row(a, d, k0, R, energy):
+    """Return the weights of pixels k0..k0+7 relative to pixel 0, zero beyond R, times 3 energies, pixel by pixel."""
+    w = ti.Vector([ti.f32(0.0)] * WIDE)
+    for k in range(WIDE):
+        w[k] = ti.select(k0 + k <= R, gauss(a, d, k0 + k), ti.f32(0.0))
+    return ti.Vector([w[lane // 3] * energy[lane % 3] for lane in range(3 * WIDE)])
+
+
+@ti.func
+def add_wide_row(film: ti.template(), base, row, weight):
+    """Do as `add_row` for a row of WIDE pixels."""
+    start = base & NO_WRAP
+    for lane in range(3 * WIDE):
+        q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
+        film[start + lane] = film[start + lane] + q
+
+
+@ti.func
 def across_block(a, d, k0, R):
     """Return the weights of pixels k0..k0+4 relative to pixel 0, zero beyond R."""
     w = ti.Vector([ti.f32(0.0)] * BLOCK)
@@ -128,30 +164,45 @@ def across_block(a, d, k0, R):
 
 
 @ti.func
-def draw_dot(film: ti.template(), width, top, bottom, u, v, sigma, energy):
-    """Add one dot to the rows top <= y < bottom of a film of `width` pixels. `energy` is in quanta, a 3-vector."""
-    stride = (width + 2 * PAD) * 3
+def mark(marks: ti.template(), width, top, x, R):
+    """Mark the tiles of pixels x-R..x+R in the band that begins at row `top`."""
+    first, last = ti.max(x - R + PAD, 0) >> TILE_BITS, ti.min(x + R + PAD, width + 2 * PAD - 1) >> TILE_BITS
+    for tile in range(first, last + 1):
+        marks[(top >> BAND_BITS) * tiles(width) + tile] = 1
+
+
+@ti.func
+def draw_dot(film: ti.template(), marks: ti.template(), width, top, bottom, u, v, sigma, energy):
+    """Add one dot to the rows top <= y < bottom, of one band, of a film of `width` pixels.
+
+    `energy` is in quanta, a 3-vector; `marks` holds whether a tile may hold light.
+    """
     x, y, R = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32), radius(sigma)
     dx, dy = ti.floor(u) + ti.f32(0.5) - u, ti.floor(v) + ti.f32(0.5) - v
     a = ti.f32(0.5) / (sigma * sigma)
     first, last = ti.max(top, y - R), ti.min(bottom, y + R + 1)
     if first < last and x + R >= 0 and x - R < width:
+        mark(marks, width, top, x, R)
         if R == 2:
             q = exponential(ti.f32(-2.0) * a)
             down = five_weights(a, q, dy)
             row = block_row(five_weights(a, q, dx), energy)
             base = (x - 2 + PAD) * 3
             for j in range(first, last):
-                add_row(film, j * stride + base, row, down[j - y + 2])
+                add_row(film, j * stride(width) + base, row, down[j - y + 2])
         else:
             scaled = energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R))
-            # Blocks k0..k0+4 with k0 = 5 i - R; those that touch a pixel 0 <= x + k < width.
-            for i in range(ti.max(0, R - x) // BLOCK, ti.min(2 * R, width - 1 - x + R) // BLOCK + 1):
-                k0 = BLOCK * i - R
-                row = block_row(across_block(a, dx, k0, R), scaled)
-                base = (x + k0 + PAD) * 3
-                for j in range(first, last):
-                    add_row(film, j * stride + base, row, gauss(a, dy, j - y))
+            # The weights of the rows are worked out once, all together, and not again in each block.
+            down = ti.Vector([ti.f32(0.0)] * BAND)
+            for j in range(BAND):
+                down[j] = gauss(a, dy, first - y + j)
+            # Blocks k0..k0+7 with k0 = 8 i - R; those that touch a pixel 0 <= x + k < width.
+            for i in range(ti.max(0, R - x) // WIDE, ti.min(2 * R, width - 1 - x + R) // WIDE + 1):
+                k0 = WIDE * i - R
+                row = wide_row(a, dx, k0, R, scaled)
+                base = first * stride(width) + (x + k0 + PAD) * 3
+                for j in range(last - first):
+                    add_wide_row(film, j * stride(width) + base, row, down[j])
 
 
 @ti.func
@@ -246,8 +297,8 @@ def node(i, n, origin):
 
 
 @ti.func
-def draw_streak(film: ti.template(), size, top, bottom, u, v, du, dv, sigma, energy):
-    """Add the dot at (u, v), or its streak towards (u + du, v + dv), to the rows top <= y < bottom.
+def draw_streak(film: ti.template(), marks: ti.template(), size, top, bottom, u, v, du, dv, sigma, energy):
+    """Add the dot at (u, v), or its streak towards (u + du, v + dv), to the rows top <= y < bottom, of one band.
 
     `size` is the (width, height) of the film.
     """
@@ -257,7 +308,7 @@ def draw_streak(film: ti.template(), size, top, bottom, u, v, du, dv, sigma, ene
     share = energy / ti.cast(n, ti.f32)
     for i in range(first, last):
         s = node(i, n, origin)
-        draw_dot(film, size[0], top, bottom, u0 + s * du, v0 + s * dv, sigma, share)
+        draw_dot(film, marks, size[0], top, bottom, u0 + s * du, v0 + s * dv, sigma, share)
 
 
 @ti.func
