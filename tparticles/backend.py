@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import taichi as ti
-from taichi.lang import kernel_impl
-from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
+from . import tracing  # noqa: F401  # it makes Taichi's tracer quick
 from .errors import BackendError, InputError, unknown
 
 Arch = Literal["auto", "cpu", "cuda", "vulkan"]
@@ -168,20 +167,6 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name != "TI_ARCH"}
 
 
-def _position(context: Any, node: Any) -> str:
-    """Return where a kernel's source stands: file, line, function and the line itself."""
-    line = node.lineno + context.lineno_offset
-    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{context.src[node.lineno - 1]}\n'
-
-
-# Taichi words this for every node of every kernel that it traces, with carets and line wrapping, in case it should fail there:
-# more than half of the time of a trace, cold or from the cache. The same without the carets is quick.
-setattr(ASTTransformerContext, "get_pos_info", _position)  # noqa: B010
-# It also reads and tokenises the source of a function again at every place where it is inlined.
-kernel_impl.getsourcelines = functools.cache(kernel_impl.getsourcelines)
-kernel_impl.getsourcefile = functools.cache(kernel_impl.getsourcefile)
-
-
 def _initialise(backend: Backend) -> None:
     os.environ.pop("TI_ARCH", None)
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the architecture; stdout is for --json
@@ -192,6 +177,9 @@ def _initialise(backend: Backend) -> None:
             cpu_max_num_threads=backend.threads,
             # Part of the cache key: a changing value would compile every kernel again.
             random_seed=0,
+            # LLVM optimises all there is; what Taichi does before it takes longer than all the rest, the more so the
+            # longer a kernel is, and gains a few per cent at most.
+            opt_level=0,
             offline_cache=True,
             offline_cache_file_path=str(cache_folder()),
             enable_fallback=False,

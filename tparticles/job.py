@@ -10,6 +10,7 @@ import os
 import platform
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -152,10 +153,7 @@ class Job:
             RunError: something failed on the way; finished frames stay, run.json says "failed".
             KeyboardInterrupt: passed on after what is finished has been kept and run.json says "interrupted".
         """
-        if self.options.mp4:
-            output.check_ffmpeg()
-        with self.script.blamed():
-            simulation = self._simulation()
+        simulation = self._prepare()
         arch = simulation.backend.arch
         # Two architectures round differently: their frames are not of one film.
         owner = f"{self.identity}-{arch}"
@@ -209,9 +207,21 @@ class Job:
             add(output.States(self.out / "states"))
         return writers
 
+    def _prepare(self) -> Simulation:
+        """Return the simulation; meanwhile ffmpeg shows that it starts, where it is needed."""
+        if not self.options.mp4:
+            return self._simulation()
+        with ThreadPoolExecutor(1) as pool:
+            check = pool.submit(output.check_ffmpeg)
+            try:
+                return self._simulation()
+            finally:
+                check.result()  # of two errors this one is told
+
     def _simulation(self) -> Simulation:
         o = self.options
-        return Simulation(self.scene, quality=o.quality, arch=o.arch, threads=o.threads, precision=o.precision)
+        with self.script.blamed():
+            return Simulation(self.scene, quality=o.quality, arch=o.arch, threads=o.threads, precision=o.precision)
 
     def _shoot(self, simulation: Simulation, manifest: output.Manifest, progress: Callable[[Frame, int], None]) -> None:
         rows: dict[int, dict[str, Any]] = {}
@@ -229,6 +239,8 @@ class Job:
                         rows[frame.number] = frame.report.row()
                         states = merged(frame.state()) if self.options.states else None
                         pipeline.submit(output.OutputFrame(frame.number, frame.image, self._provenance(frame), states))
+                        if done == 1:
+                            pipeline.drain()  # somebody waits for it: let it not share the machine with the second
                         progress(frame, done)
                 except Exception:
                     with contextlib.suppress(Exception):  # the first error is the one to tell

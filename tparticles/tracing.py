@@ -1,0 +1,227 @@
+"""Taichi's import and its tracer, made quicker; what it traces stays the same to the bit (tests/test_tracing.py).
+
+Taichi walks the source of a kernel in Python before it compiles it, and again in every process before it finds it in its
+cache: of a campfire's first frame that was the longest part. It reads, tokenises and parses a function anew wherever it is
+inlined, and words the position of every node, with carets and line wrapping, in case it should fail there. Here each
+function is read and parsed once, and a position is worded once a line.
+
+Importing this module imports Taichi. It looks through all modules for that of every function it decorates, half of its import.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import linecache
+import sys
+import textwrap
+import traceback
+from types import FrameType
+from typing import Any
+
+_TAICHI = (1, 7, 4)  # whose tracer is replaced; another version keeps its own
+
+
+def _frame_info(frame: FrameType, context: int = 1) -> tuple[str, int, str, list[str], int]:
+    """Return what `inspect.getframeinfo` does for one line of context, without a search through all modules."""
+    code = frame.f_code
+    line = linecache.getline(code.co_filename, frame.f_lineno, frame.f_globals)
+    return code.co_filename, frame.f_lineno, code.co_name, [line], 0
+
+
+_getframeinfo = inspect.getframeinfo
+inspect.getframeinfo = _frame_info  # type: ignore[assignment]
+try:
+    import taichi
+    from taichi.lang import impl, kernel_impl, matrix_ops, snode  # noqa: F401  # matrix_ops: else the first trace imports it
+    from taichi.lang.ast import ast_transformer_utils
+    from taichi.lang.ast.ast_transformer import ASTTransformer
+    from taichi.lang.exception import TaichiCompilationError, handle_exception_from_cpp
+finally:
+    inspect.getframeinfo = _getframeinfo
+
+
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Whether the frame so many calls up is the body of a class, by the line it is at; in place of Taichi's own."""
+    line = _frame_info(sys._getframe(level_of_class_stackframe))[3][0].strip()
+    return any(pattern.match(line) for pattern in kernel_impl._KERNEL_CLASS_STACKFRAME_STMT_RES)
+
+
+def _no_traceback(stacklevel: int = 1) -> str:
+    """Return what Taichi keeps of where a field was declared: nothing. It would read the whole stack, for every field."""
+    return ""
+
+
+class _Lines(list[str]):
+    """The lines of a function, and the words for their positions as far as somebody asked."""
+
+    def __init__(self, lines: list[str]):
+        super().__init__(lines)
+        self.positions: dict[int, str] = {}
+
+
+class _Source:
+    """A function's source; `spare` holds its trees that are not in use."""
+
+    def __init__(self, function: Any):
+        self.file = inspect.getsourcefile(function)
+        lines, self.first = _source_lines(function)
+        self.text = textwrap.dedent("".join(lines))
+        self.lines = _Lines([line.rstrip() for line in lines])
+        self.spare: list[_Tree] = []
+
+    def tree(self) -> _Tree:
+        """Return a tree that nobody uses: a function may be inlined in itself."""
+        return self.spare.pop() if self.spare else _Tree(self)
+
+
+class _Tree:
+    """A parsed function. Tracing leaves notes on the nodes and takes the arguments of a kernel away."""
+
+    def __init__(self, source: _Source):
+        self.source = source
+        self.root = ast.parse(source.text)
+        self._function: Any = self.root.body[0]
+        self._function.decorator_list = []
+        self._arguments = list(self._function.args.args)
+        self._nodes = list(ast.walk(self.root))
+
+    def give_back(self) -> None:
+        """Make the tree as it was and let others use it."""
+        for node in self._nodes:
+            notes = node.__dict__
+            notes.pop("ptr", None)
+            notes.pop("caller", None)
+        self._function.args.args = list(self._arguments)
+        self.source.spare.append(self)
+
+
+def _source_lines(function: Any) -> tuple[list[str], int]:
+    """Return what `inspect.getsourcelines` does, the lines of a function and the number of the first, without its tokeniser.
+
+    A function ends before the first line that is indented no deeper than it is and with which what came before parses: within
+    brackets or strings it would not.
+    """
+    code = function.__code__
+    lines, first = linecache.getlines(code.co_filename, function.__globals__), code.co_firstlineno
+    margin = _indentation(lines[first - 1]) if len(lines) >= first else 0
+    begun = False
+    for end in range(first, len(lines)):
+        begun = begun or lines[end - 1].lstrip().startswith("def ")
+        line = lines[end].strip()
+        if begun and line and not line.startswith("#") and _indentation(lines[end]) <= margin:
+            found = lines[first - 1 : end]
+            try:
+                ast.parse(textwrap.dedent("".join(found)))
+            except SyntaxError:
+                continue
+            return found, first
+    return inspect.getsourcelines(function)
+
+
+def _indentation(line: str) -> int:
+    return len(line) - len(line.lstrip())
+
+
+_source = functools.cache(_Source)
+
+
+def _tree_and_context(
+    function: Any,
+    excluded_parameters: Any = (),
+    is_kernel: bool = True,
+    arg_features: Any = None,
+    args: Any = None,
+    ast_builder: Any = None,
+    is_real_function: bool = False,
+) -> tuple[_Tree, Any]:
+    """Return a function's tree and the context to transform it in; in place of `kernel_impl._get_tree_and_ctx`."""
+    source = _source(function.func)
+    names = kernel_impl._get_global_vars(function.func)
+    if is_kernel or is_real_function:
+        for i in function.template_slot_locations:
+            names[function.arguments[i].name] = args[i]
+    context = ast_transformer_utils.ASTTransformerContext(
+        excluded_parameters=excluded_parameters,
+        is_kernel=is_kernel,
+        func=function,
+        arg_features=arg_features,
+        global_vars=names,
+        argument_data=args,
+        src=source.lines,
+        start_lineno=source.first,
+        file=source.file,
+        ast_builder=ast_builder,
+        is_real_function=is_real_function,
+    )
+    return source.tree(), context
+
+
+_transformer = ASTTransformer()
+
+
+def _transform(tree: _Tree, context: Any) -> Any:
+    """Trace a tree; in place of `transform_tree`."""
+    try:
+        _transformer(context, tree.root)
+    finally:
+        tree.give_back()
+    return context.return_data
+
+
+def _position(context: Any, node: Any) -> str:
+    """Return where a node stands: file, line, function and the line itself; in place of `get_pos_info`."""
+    words = context.src.positions.get(node.lineno)
+    if words is None:
+        line = node.lineno + context.lineno_offset
+        words = (
+            f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n{context.src[node.lineno - 1]}\n'
+        )
+        context.src.positions[node.lineno] = words
+    return words
+
+
+@functools.cache
+def _builder(kind: type[ast.AST]) -> tuple[Any, bool]:
+    """Return the method of the transformer that builds nodes of this kind, and whether they are statements."""
+    return getattr(ASTTransformer, f"build_{kind.__name__}", None), issubclass(kind, ast.stmt)
+
+
+def _build(self: Any, context: Any, node: ast.AST) -> Any:
+    """Trace one node; in place of `Builder.__call__`. Of the positions that Taichi keeps at hand those of statements are enough."""
+    method, is_statement = _builder(node.__class__)
+    try:
+        if method is None:
+            raise ast_transformer_utils.TaichiSyntaxError(f'Unsupported node "{node.__class__.__name__}"')
+        if not is_statement:
+            return method(context, node)
+        with impl.get_runtime().src_info_guard(_position(context, node)):
+            return method(context, node)
+    except Exception as error:
+        if getattr(impl.get_runtime(), "print_full_traceback", False):  # set by ti.init
+            raise
+        if context.raised or not isinstance(node, ast.stmt | ast.expr):
+            raise error.with_traceback(None)  # noqa: B904  # it is itself on its way out
+        context.raised = True
+        known = handle_exception_from_cpp(error)
+        if isinstance(known, TaichiCompilationError):
+            raise type(known)(_position(context, node) + str(known)) from None
+        raise TaichiCompilationError(_position(context, node) + traceback.format_exc()) from None
+
+
+def _speed_up() -> None:
+    for owner, name, function in (
+        (kernel_impl, "_inside_class", _inside_class),
+        (impl, "get_traceback", _no_traceback),
+        (snode, "get_traceback", _no_traceback),
+        (kernel_impl, "_get_tree_and_ctx", _tree_and_context),
+        (kernel_impl, "transform_tree", _transform),
+        (ast_transformer_utils.Builder, "__call__", _build),
+        (ast_transformer_utils.ASTTransformerContext, "get_pos_info", _position),
+    ):
+        setattr(owner, name, function)
+
+
+if taichi.__version__ == _TAICHI:
+    _speed_up()
