@@ -14,6 +14,7 @@ from tparticles import backend
 from tparticles.errors import InputError
 from tparticles.physics.emitters import Schedule
 from tparticles.stepping.control import StabilityLimit
+from tparticles.systems.population import schedules
 
 EMITTERS = (
     tp.Emitter(
@@ -123,3 +124,27 @@ def test_more_than_memory_is_refused_before_it_is_allocated(monkeypatch):
     )
     with pytest.raises(InputError, match=message):
         simulate(film)
+
+
+@pytest.mark.parametrize(
+    "births", [tp.Rate(rate=((-1.0, 7.0), (1.0, 9e4))), tp.PerFrame(mean=3.7, variance=2.0, frame=0.007)]
+)
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_kernels_work_out_the_times_that_the_schedule_has(births, precision):
+    emitter = tp.Emitter(name="fountain", births=births, temperature=1500.0, preroll=0.9)
+    sim = simulate(scene(group(appearance=tp.Glow(), emitters=emitter)), precision=precision)
+    people = sim.groups[0].population
+    sim.advance_to(20)
+    schedule = schedules("dots", (emitter,), seed=0, end=1.0)[0]
+    born = schedule.births(-1.0, sim.time(20))
+    assert born.count == people.born == len(born.times) > 300
+    assert np.array_equal(people.read("birth"), born.times) and people.read("birth").dtype == np.float64
+    assert np.array_equal(people.read("id"), np.arange(born.count))
+
+
+def test_a_time_is_found_among_births_that_are_closer_than_its_digits():
+    schedule = Schedule(tp.Emitter(births=tp.Rate(rate=1e8), start=1e7), key=3, end=1e7 + 1.0)
+    t = 1e7 + 0.0123
+    before, after = (schedule.births(*span) for span in ((0.0, t), (t, t + 1e-5)))
+    assert after.first == before.count and before.times[-1] < t <= after.times[0]
+    assert np.count_nonzero(np.diff(before.times) == 0.0) > 0

@@ -7,6 +7,8 @@ import pytest
 from small_scenes import STILL, group, scene, simulate
 
 import tparticles as tp
+from tparticles.errors import RunError
+from tparticles.systems.mortality import Mortality
 
 BURST = tp.Burst(count=400, time=0.05)
 
@@ -121,3 +123,39 @@ def test_nobody_dies_without_a_reason():
     sim = simulate(film)
     assert sim.advance_to(24).died == 0
     assert sim.groups[0].mortality.dead.shape == (1,), "no memory for marks that nobody sets"
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 5000])
+def test_blocks_of_lanes_and_single_particles_get_the_same_verdicts(count):
+    film = scene(
+        group(
+            births=tp.Burst(count=count),
+            shape=tp.Sphere(radius=1.0),
+            temperature=(1000.0, 300.0),
+            size=(0.02, 0.01),
+            lifetime=(0.5, 0.4),
+            cooling=tp.Exponential(time=1.0),
+            appearance=tp.Glow(),
+            region=tp.Box(low=(-9.0, -9.0, -9.0), high=(0.8, 9.0, 9.0)),
+        ),
+        look=LOOK,
+    )
+    sim = simulate(film)
+    (one,) = sim.groups
+    one.population.emit(0.0, 1.0)
+    found = []
+    for vectorised in (False, True):
+        mortality = Mortality(
+            one.columns, one.view, region=film.groups[0].region, frost=one.projector, ages=True, vectorised=vectorised
+        )
+        died = mortality.mark(count, 0.3, sim._camera(0.3))
+        lanes = sim.backend.lanes
+        marks = mortality.dead.to_numpy()[:, None] >> np.arange(lanes) & 1
+        assert died == marks.sum() == marks.ravel()[:count].sum()
+        found.append(marks.ravel()[:count])
+    assert np.array_equal(*found) and (count < 5000 or 1000 < found[0].sum() < 4000)
+    one.columns["x"][1][count - 1] = np.nan
+    for vectorised in (False, True):
+        mortality = Mortality(one.columns, one.view, region=None, frost=None, ages=True, vectorised=vectorised)
+        with pytest.raises(RunError, match=f"particle {count - 1}: its state is not finite"):
+            mortality.mark(count, 0.3, sim._camera(0.3))

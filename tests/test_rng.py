@@ -60,8 +60,8 @@ def fill(
     real: ti.types.ndarray(dtype=ti.f32, ndim=1),
 ):
     for i in range(keys.shape[0]):
-        out[i] = rng.device_bits(keys[i], particles[i], draws[i])
-        real[i] = rng.device_uniform(keys[i], particles[i], draws[i])
+        stream = rng.device_stream(keys[i], particles[i])
+        out[i], real[i] = rng.device_bits(stream, draws[i]), rng.device_uniform(stream, draws[i])
 
 
 def on_device() -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,8 @@ from .errors import TparticlesError, unknown
 from .output import check_ffmpeg
 from .parameter import plain
 from .scene import QUALITIES
-from .systems.attributes import ATTRIBUTES, bytes_per_particle
+from .stepping.pace import memory
+from .systems.attributes import ATTRIBUTES
 from .systems.population import schedules
 
 
@@ -38,7 +39,9 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
         names = group.attributes(streaks=built.shutter > 0)
         births = schedules(group.name, group.emitters, seed=built.seed, end=end)
         capacity = group.derived_capacity(births, look=built.look, frame=frame)
-        each = bytes_per_particle(names, precision)
+        carried = [ATTRIBUTES[n] for n in names]
+        carried += memory(built.running_scheme, group.components, adaptive=built.adaptive)
+        each = sum(attribute.bytes(precision) for attribute in carried)
         groups.append(
             {
                 "name": group.name,
@@ -46,7 +49,7 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
                 "emitters": [e.name for e in group.emitters],
                 "births": sum(s.total for s in births),
                 "capacity": capacity,
-                "attributes": {n: ATTRIBUTES[n].bytes(precision) for n in names},
+                "attributes": {attribute.name: attribute.bytes(precision) for attribute in carried},
                 "bytes_per_particle": each,
                 "bytes": capacity * each,
             }

@@ -61,13 +61,18 @@ def uniform(key: int, particle: np.ndarray | int, draw: np.ndarray | int) -> np.
 
 
 @ti.func
-def device_bits(key, particle, draw):
-    """Return 32 random bits for (particle id, draw) of the stream `key` (u32); equal to `bits`."""
-    h = mix(mix(ti.cast(particle, ti.u32)) ^ ti.cast(key, ti.u32))
-    return mix(h + ti.cast(draw, ti.u32) * ti.u32(_GOLDEN))
+def device_stream(key, particle):
+    """Return what `device_bits` and `device_uniform` need of the particle `particle` of the stream `key` (u32)."""
+    return mix(mix(ti.cast(particle, ti.u32)) ^ ti.cast(key, ti.u32))
 
 
 @ti.func
-def device_uniform(key, particle, draw):
+def device_bits(stream, draw):
+    """Return 32 random bits for draw `draw` of a particle (see `device_stream`); equal to `bits`."""
+    return mix(stream + ti.cast(draw, ti.u32) * ti.u32(_GOLDEN))
+
+
+@ti.func
+def device_uniform(stream, draw):
     """Return a real in the open interval (0, 1); equal to `uniform`."""
-    return (ti.cast(device_bits(key, particle, draw) >> 9, float) + 0.5) * ti.static(2.0**-23)
+    return (ti.cast(device_bits(stream, draw) >> 9, float) + 0.5) * ti.static(2.0**-23)

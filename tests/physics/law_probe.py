@@ -8,6 +8,7 @@ import taichi as ti
 from tparticles import backend
 from tparticles.binding import Parameters
 from tparticles.physics.law import flow_terms
+from tparticles.rng import device_stream
 
 
 def real() -> type[np.floating[Any]]:
@@ -106,9 +107,9 @@ class SampleProbe:
         ti.static(self.parameters.read_from(values))
         for i in range(out.shape[0]):
             if ti.static(self.width == 1):
-                out[i, 0] = self.law.sample(key, i, draw)
+                out[i, 0] = self.law.sample(device_stream(key, i), draw)
             else:
-                value = self.law.sample(key, i, draw)
+                value = self.law.sample(device_stream(key, i), draw)
                 for d in ti.static(range(self.width)):
                     out[i, d] = value[d]
 

@@ -5,9 +5,10 @@ import pytest
 import taichi as ti
 
 import tparticles as tp
+from tparticles import backend
 from tparticles.errors import InputError, RunError
 from tparticles.systems.attributes import Columns
-from tparticles.systems.kernels import Compaction
+from tparticles.systems.kernels import FEW, Compaction
 from tparticles.systems.population import Population, schedules
 
 pytestmark = pytest.mark.usefixtures("cpu32")
@@ -16,11 +17,29 @@ MOST = 100_000
 NAMES = ("x", "id", "birth", "v", "T0")
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["in place", "prefix sum"])
+@pytest.fixture(
+    scope="module",
+    params=[(MOST, True), (20_000, True), (MOST, False)],
+    ids=["in place, many", "in place, few", "prefix sum"],
+)
 def room(cpu32, request):
-    columns = Columns(NAMES, MOST)
-    dead = ti.field(ti.i32, columns.padded)
-    return columns, dead, Compaction(columns, dead, in_place=request.param)
+    capacity, in_place = request.param
+    columns = Columns(NAMES, capacity)
+    dead = marks(columns)
+    assert (capacity > FEW) == (capacity == MOST)
+    return columns, dead, Compaction(columns, dead, in_place=in_place)
+
+
+def marks(columns):
+    return ti.field(ti.i32, columns.padded // backend.current().lanes)
+
+
+def set_marks(dead, slots):
+    """Mark the slots where `slots` is true: a bit for each, a number for each block."""
+    lanes = backend.current().lanes
+    bits = np.zeros(dead.shape[0] * lanes, np.int32)
+    bits[: len(slots)] = slots
+    dead.from_numpy((bits.reshape(-1, lanes) << np.arange(lanes)).sum(axis=1).astype(np.int32))
 
 
 def fill(columns, dead, mask, count):
@@ -31,9 +50,9 @@ def fill(columns, dead, mask, count):
         values = rng.integers(0, 1 << 20, columns.padded).astype(field.to_numpy().dtype)
         field.from_numpy(values)
         before.append(values)
-    padded = np.ones(columns.padded, np.int32)  # slots beyond the living count for nothing
+    padded = np.ones(columns.padded, bool)  # slots beyond the living count for nothing
     padded[:count] = mask
-    dead.from_numpy(padded)
+    set_marks(dead, padded)
     return before
 
 
@@ -41,6 +60,7 @@ def fill(columns, dead, mask, count):
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.5, 0.97, 1.0])
 def test_survivors_keep_their_order(room, count, share):
     columns, dead, compaction = room
+    count = min(count, columns.capacity)
     mask = np.random.default_rng(7).random(count) < share
     before = fill(columns, dead, mask, count)
     survivors = compaction.run(count)
@@ -76,8 +96,8 @@ def test_the_books_balance(cpu32):
     assert people.emit(0.0, 0.5) == 15
     assert people.read("id").tolist() == [*range(0, 20, 2), *range(1, 10, 2)]
     assert people.emit(0.5, 1.0) == 0
-    dead = ti.field(ti.i32, people.columns.padded)
-    dead.from_numpy((np.arange(people.columns.padded) % 4 == 0).astype(np.int32))
+    dead = marks(people.columns)
+    set_marks(dead, np.arange(people.columns.padded) % 4 == 0)
     assert people.bury(dead, 4) == 4
     assert (people.alive, people.born, people.died) == (11, 15, 4)
     assert people.read("id").tolist() == [2, 4, 6, 10, 12, 14, 18, 1, 3, 7, 9]

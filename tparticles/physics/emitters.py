@@ -25,6 +25,7 @@ from .spread import Spread, SpreadLike, positive
 DRAW_TIME, DRAW_POSITION, DRAW_VELOCITY, DRAW_TEMPERATURE, DRAW_SIZE, DRAW_LIFETIME = 0, 1, 4, 8, 10, 12
 
 _MOST_INTERVALS = 50_000_000
+_AROUND = 16  # births looked at before and after a time
 
 
 def _to_keys(value: Any) -> Any:
@@ -129,10 +130,23 @@ def _bursts(births: Any) -> tuple[Burst, ...]:
 
 @dataclass(frozen=True)
 class Births:
-    """Particles born in one span of time: consecutive ids from `first`, birth times [s] in rising order, float64."""
+    """Particles born in one span of time: `count` consecutive ids from `first`.
+
+    Row i of `spans`, float64 (intervals, 4), is an interval of the emitter: its start [s], its length [s], how many are born in
+    it, and the first one's id. The kernel that emits works the times out from it, to the same bits as `times`.
+    """
 
     first: int
-    times: np.ndarray
+    count: int
+    spans: np.ndarray
+    key: int
+
+    @property
+    def times(self) -> np.ndarray:
+        """The birth times [s] in rising order, float64."""
+        own = self.first + np.arange(self.count)
+        start, length, count, first = self.spans[np.searchsorted(self.spans[:, 3], own, side="right") - 1].T
+        return start + length * ((own - first + rng.uniform(self.key, own, DRAW_TIME)) / count)
 
 
 class Schedule:
@@ -148,23 +162,44 @@ class Schedule:
         self.counts = counts
         self.ends = np.cumsum(counts)
         self.total = int(self.ends[-1]) if len(counts) else 0
+        self._latest = -math.inf, 0  # a time, and how many are born before it: one frame ends where the next begins
 
     def births(self, t0: float, t1: float) -> Births:
         """Return who is born in [t0, t1)."""
-        # An interval may reach into the span from before it; its births rise with their id.
-        low = int(np.searchsorted(self.starts + self.lengths, t0, side="left"))
-        high = int(np.searchsorted(self.starts, t1, side="left"))
-        first = int(self.ends[low] - self.counts[low]) if low < len(self.ends) else self.total
+        first, end = self._before(t0), self._before(t1)
+        low = int(np.searchsorted(self.ends, first, side="right"))
+        high = int(np.searchsorted(self.ends, end, side="left")) + 1 if end > first else low
+        return Births(first, max(end - first, 0), self._spans(low, high), self.key)
+
+    def _spans(self, low: int, high: int) -> np.ndarray:
+        """Return the rows of `Births.spans` of the intervals low..high-1."""
         counts = self.counts[low:high]
-        if not counts.sum():
-            return Births(first, np.empty(0))
-        which = np.repeat(np.arange(len(counts)), counts)
-        ids = first + np.arange(len(which))
-        j = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-        u = rng.uniform(self.key, ids, DRAW_TIME)
-        times = self.starts[low:high][which] + self.lengths[low:high][which] * ((j + u) / counts[which])
-        a, b = np.searchsorted(times, [t0, t1], side="left")
-        return Births(first + int(a), times[a:b])
+        return np.stack([self.starts[low:high], self.lengths[low:high], counts, self.ends[low:high] - counts], axis=1)
+
+    def _before(self, t: float) -> int:
+        """Return how many are born before `t` [s]; their times need not be worked out."""
+        if self._latest[0] != t:
+            begun = int(np.searchsorted(self.starts, t, side="left"))
+            # An interval ends where the next begins, but for rounding: only the last two may have births left.
+            whole = max(begun - 2, 0)
+            born = (int(self.ends[whole - 1]) if whole else 0) + sum(self._born(i, t) for i in range(whole, begun))
+            self._latest = t, born
+        return self._latest[1]
+
+    def _born(self, interval: int, t: float) -> int:
+        """Return how many of the births of an interval that began before `t` [s] come before it."""
+        count, length = int(self.counts[interval]), float(self.lengths[interval])
+        if count == 0 or length == 0.0 or t > self.starts[interval] + length:
+            return count
+        # The births are spread evenly: look around the one that should be next, and at all of them if it is not there.
+        next_one = min(max((t - float(self.starts[interval])) / length, 0.0), 1.0) * count
+        for low, high in ((int(next_one) - _AROUND, int(next_one) + _AROUND), (0, count)):
+            low, high = max(low, 0), min(high, count)
+            spans = self._spans(interval, interval + 1)
+            times = Births(int(spans[0, 3]) + low, high - low, spans, self.key).times
+            if (low == 0 or times[0] < t) and (high == count or times[-1] >= t):
+                return low + int(np.searchsorted(times, t, side="left"))
+        raise AssertionError("all births were looked at")
 
     def most_alive(self, lifetime: float, frame: float) -> int:
         """Return a bound on how many live at once, if each lives at most `lifetime` [s] and deaths wait for a frame [s]."""

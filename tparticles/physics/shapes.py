@@ -36,7 +36,7 @@ class Point:
     position: Vec3 = (0.0, 0.0, 0.0)
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return the point [m]."""
         return self.position
 
@@ -49,9 +49,9 @@ class Line:
     end: Vec3
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return a point [m]."""
-        return self.start + device_uniform(key, particle, draw) * (self.end - self.start)
+        return self.start + device_uniform(stream, draw) * (self.end - self.start)
 
 
 @spec
@@ -70,11 +70,11 @@ class Disc:
         return {"normal": unit("Disc.normal", self.normal)}
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return a point [m]."""
         across, along = _across(self.normal)
-        r = self.radius * ti.sqrt(device_uniform(key, particle, draw))
-        angle = _TURN * device_uniform(key, particle, draw + 1)
+        r = self.radius * ti.sqrt(device_uniform(stream, draw))
+        angle = _TURN * device_uniform(stream, draw + 1)
         return self.center + r * (ti.cos(angle) * across + ti.sin(angle) * along)
 
 
@@ -87,13 +87,13 @@ class Sphere:
     surface: bool = False
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return a point [m]."""
-        z = 2.0 * device_uniform(key, particle, draw) - 1.0
-        angle = _TURN * device_uniform(key, particle, draw + 1)
+        z = 2.0 * device_uniform(stream, draw) - 1.0
+        angle = _TURN * device_uniform(stream, draw + 1)
         r = self.radius
         if ti.static(not self.surface):
-            r *= device_uniform(key, particle, draw + 2) ** ti.static(1 / 3)
+            r *= device_uniform(stream, draw + 2) ** ti.static(1 / 3)
         across = ti.sqrt(ti.max(0.0, 1.0 - z * z))
         return self.center + r * ti.Vector([across * ti.cos(angle), across * ti.sin(angle), z])
 
@@ -115,9 +115,9 @@ class Box:
             raise InputError(f"Box.low = {self.low} must not exceed Box.high = {self.high} in any coordinate")
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return a point [m]."""
-        u = ti.Vector([device_uniform(key, particle, draw + d) for d in ti.static(range(3))])
+        u = ti.Vector([device_uniform(stream, draw + d) for d in ti.static(range(3))])
         return self.low + u * (self.high - self.low)
 
     @ti.func
@@ -142,15 +142,15 @@ class Cone:
         return {"axis": unit("Cone.axis", self.axis), "cap": 2.0 * math.sin(math.radians(self.angle) / 2) ** 2}
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return a velocity [m/s]; takes four draws."""
         across, along = _across(self.axis)
         # h = 1 - cos(polar angle) is uniform over the cap; its sine is sqrt(h (2 - h)), exact for narrow cones too
-        h = self.cap * device_uniform(key, particle, draw)
+        h = self.cap * device_uniform(stream, draw)
         s = ti.sqrt(ti.max(0.0, h * (2.0 - h)))
-        angle = _TURN * device_uniform(key, particle, draw + 1)
+        angle = _TURN * device_uniform(stream, draw + 1)
         direction = (1.0 - h) * self.axis + s * (ti.cos(angle) * across + ti.sin(angle) * along)
-        return self.speed.sample(key, particle, draw + 2) * direction
+        return self.speed.sample(stream, draw + 2) * direction
 
 
 Shape = Point | Line | Disc | Sphere | Box

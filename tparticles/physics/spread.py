@@ -67,9 +67,9 @@ class Spread:
         return {"is_normal": self.distribution == "normal"}
 
     @ti.func
-    def sample(self, key, particle, draw):
+    def sample(self, stream, draw):
         """Return the value of `particle`; takes one draw."""
-        value = 2.0 * device_uniform(key, particle, draw) - 1.0
+        value = 2.0 * device_uniform(stream, draw) - 1.0
         if ti.static(self.is_normal):
             # the inverse of the distribution between -3 and 3: z = sqrt(2) erfinv(y)
             y = value * ti.static(math.erf(_TRUNCATION / math.sqrt(2)))

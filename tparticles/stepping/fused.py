@@ -21,7 +21,8 @@ from ..binding import Parameters
 from ..errors import InputError, RunError
 from ..schemes import Scheme
 from ..systems.attributes import Columns
-from ..systems.terms import FLOW_REGISTER, heat
+from ..systems.terms import FLOW_REGISTER, first_writers, heat
+from .block import Block
 from .control import Tolerance
 from .newton import Newton
 from .pace import NOBODY, Pace
@@ -40,35 +41,6 @@ class StepReport:
     rejected: int = 0
     dt_min: float = 0.0
     dt_max: float = 0.0
-
-
-@ti.data_oriented
-class _Block:
-    """The local vectors of one block, by name, while a kernel is traced: a list of them where a name stands for several.
-
-    `k`: the slopes; component d of register j in lane l is k[d][j * lanes + l].
-    """
-
-    def __init__(self, layout: dict[str, int], vectors: list[Any], slopes: list[Any], lanes: int):
-        self.k, self.lanes = slopes, lanes
-        rest = iter(vectors)
-        for name, count in layout.items():
-            found = [next(rest) for _ in range(count)]
-            setattr(self, name, found[0] if count == 1 else found)
-
-
-def _first_writers(terms: list[Any]) -> list[tuple[Any, bool]]:
-    """Pair each term with whether it sets its components, as the first that writes them, or adds to them."""
-    written: set[int] = set()
-    pairs = []
-    for term in terms:
-        if term.first == FLOW_REGISTER:
-            pairs.append((term, term.resets_flow))
-            continue
-        own = set(range(term.first, term.first + term.width))
-        pairs.append((term, not own & written))
-        written |= own
-    return pairs
 
 
 @ti.data_oriented
@@ -119,7 +91,7 @@ class FusedStepper:
         self.tolerance = tolerance
         self.pace = Pace(self.table, components, clamp=clamp, tolerance=tolerance, columns=columns)
         self.newton = Newton(first=0 if system.order == 1 else 3, components=components, heated=self.heated)
-        self.firsts = _first_writers(self.terms)
+        self.firsts = first_writers(self.terms)
         # the local vectors of a block by name, and how many scalars of a particle each name stands for
         self.layout = {"z0": components, "z": components, "u": 3, "age": 1, "size": 1} | self.pace.vectors()
         if self.table.implicit:
@@ -223,7 +195,7 @@ class FusedStepper:
         lanes = ti.static(self.lanes)
         vectors = [ti.Vector([0.0] * lanes) for _ in range(ti.static(self.width))]
         slopes = [ti.Vector([0.0] * (lanes * self.table.scheme.registers)) for _ in range(ti.static(len(self.state)))]
-        b = ti.static([_Block(self.layout, vectors, slopes, self.lanes)])[0]
+        b = ti.static([Block(self.layout, vectors, slopes, self.lanes)])[0]
         span, start = ti.cast(t1 - t0, float), ti.cast(t0, float)
         self._load(b, block, count, t0, t1, dt, size)
         longest = ti.cast(0.0, float)

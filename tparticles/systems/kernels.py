@@ -11,14 +11,18 @@ from ..physics.emitters import (
     DRAW_POSITION,
     DRAW_SIZE,
     DRAW_TEMPERATURE,
+    DRAW_TIME,
     DRAW_VELOCITY,
     Births,
     Emitter,
 )
+from ..rng import device_bits, device_stream
 from .attributes import Columns
 
 _CHUNK = 1024  # slots that one GPU thread scans
 _GRAIN = 512  # iterations that make one CPU task
+_RUN = 8  # blocks that are moved at once where nobody is dead
+FEW = 1 << 16  # slots up to which quick code is not worth the time that it takes to compile
 
 
 @ti.data_oriented
@@ -33,7 +37,7 @@ class EmitKernel:
 
     def emit(self, slot: int, births: Births) -> None:
         """Write the newborns into the slots from `slot` on."""
-        self._emit(self.key, slot, births.first, births.times, self.parameters.array)
+        self._emit(self.key, slot, births.first, births.count, births.spans, 0, self.parameters.array)
 
     @ti.kernel
     def _emit(
@@ -41,51 +45,87 @@ class EmitKernel:
         key: ti.u32,
         slot: ti.i32,
         first: ti.i32,
-        times: ti.types.ndarray(dtype=ti.f64, ndim=1),
+        count: ti.i32,
+        spans: ti.types.ndarray(dtype=ti.f64, ndim=2),
+        zero: ti.i64,
         values: ti.types.ndarray(ndim=1),
     ):
         ti.static(self.parameters.read_from(values))
-        for j in range(times.shape[0]):
+        for j in range(count):
             i = slot + j
             own = first + j  # the id inside the emitter keys the draws
+            stream = device_stream(key, own)
             self.columns["id"][0][i] = own * self.of + self.index
-            self.columns["birth"][0][i] = times[j]
-            x = self.emitter.shape.sample(key, own, DRAW_POSITION)
+            self.columns["birth"][0][i] = self._birth(spans, own, stream, zero)
+            x = self.emitter.shape.sample(stream, DRAW_POSITION)
             for d in ti.static(range(3)):
                 self.columns["x"][d][i] = x[d]
             if ti.static("v" in self.columns):
                 v = ti.Vector([0.0, 0.0, 0.0])
                 if ti.static(self.has["velocity"]):
-                    v = self.emitter.velocity.sample(key, own, DRAW_VELOCITY)
+                    v = self.emitter.velocity.sample(stream, DRAW_VELOCITY)
                 for d in ti.static(range(3)):
                     self.columns["v"][d][i] = v[d]
             if ti.static(self.has["temperature"]):
-                T = self.emitter.temperature.sample(key, own, DRAW_TEMPERATURE)
+                T = self.emitter.temperature.sample(stream, DRAW_TEMPERATURE)
                 for name in ti.static(("T", "T0")):
                     if ti.static(name in self.columns):
                         self.columns[name][0][i] = T
             if ti.static("size" in self.columns):
-                self.columns["size"][0][i] = self.emitter.size.sample(key, own, DRAW_SIZE)
+                self.columns["size"][0][i] = self.emitter.size.sample(stream, DRAW_SIZE)
             if ti.static("lifetime" in self.columns):
                 lifetime = ti.cast(ti.math.inf, float)
                 if ti.static(self.has["lifetime"]):
-                    lifetime = self.emitter.lifetime.sample(key, own, DRAW_LIFETIME)
+                    lifetime = self.emitter.lifetime.sample(stream, DRAW_LIFETIME)
                 self.columns["lifetime"][0][i] = lifetime
+
+    @ti.func
+    def _birth(self, spans: ti.template(), own, stream, zero):
+        """Return the time of birth [s] of the newborn `own`, as `Births.times` has it; `zero` is 0, and no constant."""
+        # the last interval whose first id is not after it
+        low, high = 0, spans.shape[0] - 1
+        while low < high:
+            middle = (low + high + 1) // 2
+            if spans[middle, 3] <= own:
+                low = middle
+            else:
+                high = middle - 1
+        # start + length ((j + u) / count), rounded after each operation
+        u = (ti.cast(device_bits(stream, DRAW_TIME) >> 9, ti.f64) + 0.5) * ti.static(2.0**-23)
+        j = own - ti.cast(spans[low, 3], ti.i32)
+        share = _rounded(_rounded(j + u, zero) / spans[low, 2], zero)
+        return spans[low, 0] + _rounded(spans[low, 1] * share, zero)
+
+
+@ti.func
+def _rounded(x, zero):
+    """Return the f64 `x`; the optimiser cannot see through it, so it neither fuses nor reorders what is on both sides."""
+    return ti.bit_cast(ti.bit_cast(x, ti.i64) ^ zero, ti.f64)
+
+
+@ti.func
+def lowest_bit(mask):
+    """Return the number of the lowest bit that is set in `mask`, which is not 0 and below 2^31: its exponent as a float."""
+    return (ti.bit_cast(ti.cast(mask & -mask, ti.f32), ti.i32) >> 23) - 127
 
 
 @ti.data_oriented
 class Compaction:
     """Stable compaction: survivors move to the front in their old order.
 
-    On a GPU by a prefix sum over chunks of slots, through a scratch column. On a CPU each column is one task that moves its own
-    survivors in place: half of the memory traffic, no scratch, and one launch instead of two for every column.
-    `in_place` names the way; the backend's own by default.
+    On a GPU by a prefix sum over chunks of slots, through a scratch column. On a CPU each thread moves the survivors of its share
+    of the columns in place: half of the memory traffic, no scratch, and one launch instead of two for every column.
+    `dead` holds a bit for every slot of a block (see `Mortality`). `in_place` names the way; the backend's own by default.
     """
 
     def __init__(self, columns: Columns, dead, *, in_place: bool | None = None):
-        self.columns, self.dead = columns, dead
-        self.in_place = backend.current().is_cpu if in_place is None else in_place
-        if not self.in_place:
+        running = backend.current()
+        self.columns, self.dead, self.lanes = columns, dead, columns.padded // dead.shape[0]
+        self.in_place = running.is_cpu if in_place is None else in_place
+        self.in_runs = columns.padded > FEW
+        if self.in_place:
+            self.shares = _shares(columns.all(), running.threads if self.in_runs else 1)
+        else:
             self.offsets = ti.field(ti.i32, columns.padded // _CHUNK + 2)
             self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}
 
@@ -102,18 +142,48 @@ class Compaction:
     def _squeeze(self, count: ti.i32) -> ti.i32:
         survivors = 0
         # A range of 512 is the least that Taichi gives a thread of its own.
-        for task in range(ti.static(len(self.columns.all()) * _GRAIN)):
+        for task in range(ti.static(len(self.shares) * _GRAIN)):
             if task % _GRAIN == 0:
-                for column, field in ti.static(enumerate(self.columns.all())):
-                    if task // _GRAIN == column:
-                        to = 0
-                        for i in range(count):
-                            if self.dead[i] == 0:
-                                field[to] = field[i]
-                                to += 1
-                        if ti.static(column == 0):
+                for share, fields in ti.static(enumerate(self.shares)):
+                    if task // _GRAIN == share:
+                        to = self._squeeze_columns(count, fields)
+                        if ti.static(share == 0):
                             survivors = to
         return survivors
+
+    @ti.func
+    def _squeeze_columns(self, count, fields: ti.template()):
+        """Move the survivors' values in `fields`, whole runs where nobody is dead; return how many there are."""
+        lanes, width = ti.static(self.lanes, self.lanes * _RUN)
+        to = 0
+        for run in range((count + width - 1) // width):
+            start, dead = run * width, 1
+            if ti.static(self.in_runs):
+                if start + width <= count:
+                    dead = 0
+                    for block in ti.static(range(_RUN)):
+                        dead |= self.dead[run * _RUN + block]
+            if dead == 0:
+                if to < start:
+                    for slot in range(width):
+                        for field in ti.static(fields):
+                            field[to + slot] = field[start + slot]
+                to += width
+            else:
+                for block in range(ti.min((count - start + lanes - 1) // lanes, _RUN)):
+                    first = start + block * lanes
+                    lives = ~self.dead[run * _RUN + block] & ((1 << ti.min(count - first, lanes)) - 1)
+                    while lives != 0:
+                        i = first + lowest_bit(lives)
+                        for field in ti.static(fields):
+                            field[to] = field[i]
+                        to += 1
+                        lives &= lives - 1
+        return to
+
+    @ti.func
+    def _lives(self, i):
+        return 1 - ((self.dead[i // self.lanes] >> (i % self.lanes)) & 1)
 
     @ti.kernel
     def _scan(self, count: ti.i32) -> ti.i32:
@@ -121,7 +191,7 @@ class Compaction:
         for c in range(chunks):
             survivors = 0
             for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
-                survivors += 1 - self.dead[i]
+                survivors += self._lives(i)
             self.offsets[c] = survivors
         total = 0
         ti.loop_config(serialize=True)
@@ -139,6 +209,21 @@ class Compaction:
             for c in range((count + _CHUNK - 1) // _CHUNK):
                 to = self.offsets[c]
                 for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
-                    if self.dead[i] == 0:
+                    if self._lives(i) == 1:
                         field[to] = self.scratch[field.dtype][i]
                         to += 1
+
+
+def _shares(fields, threads: int) -> tuple:
+    """Split the columns into as many parts as there are threads, about as many bytes in each."""
+    shares: list[list] = [[] for _ in range(min(threads, len(fields)))]
+    taken = [0] * len(shares)
+    for field in sorted(fields, key=_width, reverse=True):
+        lightest = taken.index(min(taken))
+        shares[lightest].append(field)
+        taken[lightest] += _width(field)
+    return tuple(map(tuple, shares))
+
+
+def _width(field) -> int:
+    return 8 if field.dtype in (ti.f64, ti.i64) else 4

@@ -10,6 +10,7 @@ import taichi as ti
 from .. import backend
 from ..errors import RunError
 from .attributes import Columns
+from .kernels import FEW, lowest_bit
 from .view import View
 
 _NOBODY = 2**31 - 1
@@ -26,16 +27,21 @@ class Mortality:
         frost: tells the temperature [K] below which a dot shows nothing, `coldest(camera, size, x)`, a `@ti.func`; None where
             nobody dies of cold.
         ages: whether there are lifetimes.
+        vectorised: whether to look at a block's lanes together; by default if there can be many particles.
     """
 
-    def __init__(self, columns: Columns, view: View, *, region: Any, frost: Any, ages: bool):
+    def __init__(
+        self, columns: Columns, view: View, *, region: Any, frost: Any, ages: bool, vectorised: bool | None = None
+    ):
         self.columns, self.view, self.ages = columns, view, ages
         self.frost: Any = frost
         self.region: Any = None if region is None else view.parameters.bind(region)
         self.bounded, self.freezes = region is not None, frost is not None
         self.kills = ages or self.bounded or self.freezes
         self.lanes = backend.current().lanes
-        self.dead = ti.field(ti.i32, columns.padded if self.kills else 1)
+        self.vectorised = self.lanes > 1 and (columns.padded > FEW if vectorised is None else vectorised)
+        # Bit l of entry b: whether the particle in lane l of block b is dead.
+        self.dead = ti.field(ti.i32, columns.padded // self.lanes if self.kills else 1)
 
     def mark(self, count: int, t: float, camera: np.ndarray) -> int:
         """Mark who is dead at time `t` [s] as seen by the camera row `camera`; return how many.
@@ -61,39 +67,56 @@ class Mortality:
         ti.static(self.view.parameters.read_from(values))
         died, astray = 0, _NOBODY
         for block in range((count + self.lanes - 1) // self.lanes):
-            # Verdicts go to locals first: a store to a field inside the lane loop would stop its vectorisation.
-            dead, lost = ti.Vector([0] * self.lanes), ti.Vector([0] * self.lanes)
-            for lane in range(self.lanes):
-                i = block * self.lanes + lane
-                lost[lane] = self._is_lost(i, t)
-                dead[lane] = self._is_dead(i, t, camera)
-            deaths = 0
-            for lane in range(self.lanes):
-                i = block * self.lanes + lane
-                if i < count:
-                    deaths += dead[lane]
-                    if ti.static(self.kills):
-                        self.dead[i] = dead[lane]
-                    if lost[lane] != 0:
-                        ti.atomic_min(astray, self.columns["id"][0][i])
-            died += deaths
+            dead, lost = self._verdicts(block * self.lanes, ti.min(count - block * self.lanes, self.lanes), t, camera)
+            if ti.static(self.kills):
+                self.dead[block] = dead
+            while dead != 0:
+                died += 1
+                dead &= dead - 1
+            while lost != 0:
+                ti.atomic_min(astray, self.columns["id"][0][block * self.lanes + lowest_bit(lost)])
+                lost &= lost - 1
         return ti.Vector([died, astray])
 
     @ti.func
-    def _is_lost(self, i, t):
+    def _verdicts(self, start, count, t, camera: ti.template()):
+        """Return who is dead and who went astray of the block that begins with particle `start`, a bit for each lane."""
+        dead, lost = 0, 0
+        if ti.static(self.vectorised):
+            # Ages first, as they are differences in f64, of which half as many fit a vector. The loops over the lanes only
+            # add up: a store to a field inside would stop their vectorisation.
+            ages = ti.Vector([0.0] * self.lanes)
+            for lane in range(self.lanes):
+                ages[lane] = self.view.age(start + lane, t)
+            for lane in range(self.lanes):
+                bit = ti.select(lane < count, 1 << lane, 0)
+                dead |= bit * self._is_dead(start + lane, ages[lane], camera)
+                lost |= bit * self._is_lost(start + lane, ages[lane])
+        else:
+            # counts in powers of two: the compiler would unroll and vectorise any other loop
+            i, bit = start, 1
+            while bit < 1 << count:
+                age = self.view.age(i, t)
+                dead |= bit * self._is_dead(i, age, camera)
+                lost |= bit * self._is_lost(i, age)
+                i, bit = i + 1, bit << 1
+        return dead, lost
+
+    @ti.func
+    def _is_lost(self, i, age):
         # A sum keeps a NaN, where max() would drop it.
         reach = ti.abs(self.view.position(i)).sum() + ti.abs(self.view.velocity(i)).sum()
         if ti.static("T" in self.columns):
-            reach += ti.abs(self.view.temperature(i, t))
+            reach += ti.abs(self.view.temperature_at(i, age))
         return ti.select(ti.math.isnan(reach) or reach > _FAR, 1, 0)
 
     @ti.func
-    def _is_dead(self, i, t, camera: ti.template()):
+    def _is_dead(self, i, age, camera: ti.template()):
         x, dead = self.view.position(i), 0
         if ti.static(self.ages):
-            dead |= ti.select(self.view.age(i, t) >= self.view.lifetime(i), 1, 0)
+            dead |= ti.select(age >= self.view.lifetime(i), 1, 0)
         if ti.static(self.bounded):
             dead |= ti.select(self.region.contains(x), 0, 1)
         if ti.static(self.freezes):
-            dead |= ti.select(self.view.temperature(i, t) < self.frost.coldest(camera, self.view.size(i), x), 1, 0)
+            dead |= ti.select(self.view.temperature_at(i, age) < self.frost.coldest(camera, self.view.size(i), x), 1, 0)
         return dead

@@ -55,7 +55,7 @@ class Population:
         before = self.alive
         for source in self._sources:
             births = source.schedule.births(t0, t1)
-            count = len(births.times)
+            count = births.count
             if self.alive + count > self.columns.capacity:
                 raise RunError(
                     f"group '{self.name}', emitter '{source.emitter.name}': {count} births at t = {t0:.4g} s need room for "
@@ -69,7 +69,7 @@ class Population:
         return self.alive - before
 
     def bury(self, dead: Any, died: int) -> int:
-        """Remove the `died` particles whose entry in the field `dead` (i32, 0 or 1) is set; the others keep their order.
+        """Remove the `died` particles that are marked in the field `dead` (see `Mortality`); the others keep their order.
 
         Raises:
             RunError: alive is no longer born - died.

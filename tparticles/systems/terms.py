@@ -90,3 +90,17 @@ def heat(law: Any, parameters: Any, first: int) -> Term:
         return ti.Vector([law.rate(z[first], q[0], q[1])])
 
     return Term(law=parameters.bind(law), evaluate=rate, first=first, width=1)
+
+
+def first_writers(terms: list[Term]) -> list[tuple[Term, bool]]:
+    """Pair each term with whether it sets its components, as the first that writes them, or adds to them."""
+    written: set[int] = set()
+    pairs = []
+    for term in terms:
+        if term.first == FLOW_REGISTER:
+            pairs.append((term, term.resets_flow))
+            continue
+        own = set(range(term.first, term.first + term.width))
+        pairs.append((term, not own & written))
+        written |= own
+    return pairs

@@ -73,14 +73,19 @@ class View:
 
     @ti.func
     def temperature(self, i, t):
-        """Return T [K]: integrated, a closed form of the age, or as at birth."""
+        """Return T [K]."""
+        return self.temperature_at(i, self.age(i, t))
+
+    @ti.func
+    def temperature_at(self, i, age):
+        """Return T [K] of a particle that is `age` [s] old: integrated, a closed form of the age, or as at birth."""
         T = self.constants.T0
         if ti.static("T0" in self.columns):
             T = self.columns["T0"][0][i]
         if ti.static("T" in self.columns):
             T = self.columns["T"][0][i]
         elif ti.static(self.closed_form):
-            T = self.cooling.temperature(T, self.age(i, t), self.size(i))
+            T = self.cooling.temperature(T, age, self.size(i))
         return T
 
     def temperatures(self, count: int, t: float) -> np.ndarray:
