@@ -5,6 +5,8 @@ import os as _os
 # Taichi reads these when it is imported: no version post over the network, no banner on stdout.
 _os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 _os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+# Pydantic would search all installed packages for plugins.
+_os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 __version__ = "0.1.0"
 
@@ -23,10 +25,10 @@ _PUBLIC = {
     "render.camera": ("Camera", "Track"),
     "render.look": ("Look",),
     "scene": ("Group", "Scene"),
-    "schemes": ("Scheme", "runge_kutta"),
+    "schemes": ("Scheme", "adams", "bdf", "modified_euler", "runge_kutta", "splitting"),
     "simulation": ("Frame", "Simulation"),
     "spec": ("spec",),
-    "stepping.control": ("Fixed", "StabilityLimit"),
+    "stepping.control": ("ErrorControl", "Fixed", "PixelTolerance", "StabilityLimit"),
     "systems.motion": ("Advected", "Newtonian"),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}

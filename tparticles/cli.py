@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import json
 import os
 import re
@@ -23,8 +24,10 @@ import click
 
 from . import __version__
 from .errors import InputError, TparticlesError
+from .studies.commands import study
 
 INTERRUPTED = 130
+_MANY_OBJECTS = 100_000
 
 
 class _InterruptError(TparticlesError):
@@ -47,6 +50,8 @@ class _Commands(click.Group):
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit."""
+    # Imports and kernels make many objects that stay: the collector would look at them again and again, and find nothing.
+    gc.set_threshold(_MANY_OBJECTS)
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     signals: list[int] = []
     try:
@@ -131,7 +136,8 @@ def _stdout_kept() -> Iterator[None]:
         return
     try:
         os.dup2(2, 1)
-        import taichi  # noqa: F401  # before Python's stdout is another: it would take that for a notebook, and say so
+        # Taichi, before Python's stdout is another: it would take that for a notebook, and say so.
+        from . import tracing  # noqa: F401
 
         with contextlib.redirect_stdout(sys.stderr):
             yield
@@ -332,28 +338,23 @@ def describe(scene: str, settings: Mapping[str, str], quality: str, precision: s
 
 
 @cli.command()
+@click.argument("name", required=False)
 @_JSON
-def schemes(as_json: bool) -> None:
+def schemes(name: str | None, as_json: bool) -> None:
     """List the integration schemes: order, cost, stability limits.
 
-    Limits are in units of step times rate: the largest stable step on the negative real and on the imaginary axis. One that is
-    infinite is `inf` in the table and null in JSON.
+    With NAME, show that one with its program. Limits are in units of step times rate: the largest stable step on the negative
+    real and on the imaginary axis. One that is infinite is `inf` in the table and null in JSON.
     """
-    from .schemes import CATALOGUE
+    from .schemes import CATALOGUE, get
     from .schemes import describe as row
+    from .schemes.listing import sheet, table
 
-    rows = [row(scheme) for scheme in CATALOGUE.values()]
+    chosen = list(CATALOGUE.values()) if name is None else [get(name)]
     if as_json:
-        _print_json(rows)
-        return
-    width = max(len(r["name"]) for r in rows)
-    click.echo(
-        f"{'scheme':{width}} {'order':>5} {'evaluations':>11} {'real limit':>10} {'imaginary limit':>15}  stable"
-    )
-    for r in rows:
-        stable = "L" if r["l_stable"] else "A" if r["a_stable"] else "-"
-        numbers = f"{r['order']:5} {r['evaluations']:11} {r['real_limit']:10.4f} {r['imaginary_limit']:15.4f}"
-        click.echo(f"{r['name']:{width}} {numbers}  {stable}")
+        _print_json([row(scheme) for scheme in chosen])
+    else:
+        click.echo(table(chosen) if name is None else sheet(chosen[0]))
 
 
 @cli.command()
@@ -372,3 +373,6 @@ def doctor(as_json: bool) -> None:
     else:
         for name, value in found.items():
             click.echo(f"{name:14} {value}")
+
+
+cli.add_command(study)

@@ -130,15 +130,24 @@ def test_what_scenes_and_kernels_print_stays_off_stdout(process: Run, scene) -> 
 FIELDS = {"name", "order", "evaluations", "real_limit", "imaginary_limit", "a_stable", "l_stable", "needs"}
 
 
-def test_schemes_are_listed(run: Run, monkeypatch) -> None:
+def test_schemes_are_listed(run: Run) -> None:
     listed = {row["name"]: row for row in run("schemes", "--json").json}
-    assert {"euler", "midpoint", "rk4"} <= set(listed)
-    assert all(set(row) >= FIELDS for row in listed.values())
+    assert list(listed) == list(schemes.CATALOGUE)
+    assert all(set(row) == FIELDS for row in listed.values())
     assert (listed["rk4"]["order"], listed["rk4"]["evaluations"]) == (4, 4)
     assert listed["rk4"]["real_limit"] == pytest.approx(2.785293563405282)
+    assert listed["beeman"]["needs"] == ["equal steps", "second-order system"]
     lines = run("schemes").out.splitlines()
-    assert len(lines) == 1 + len(listed)
-    assert re.fullmatch(r"euler +1 +1 +2\.0000 +0\.0000 +-", lines[1 + list(listed).index("euler")])
+    assert max(map(len, lines)) <= 120
+    assert lines[0].split() == ["scheme", "order", "stages", "evals", "real", "imag", "stable", "SSP", "needs"]
+    rows = {line.split()[0]: line for line in lines[: lines.index("sources")] if line.startswith("  ")}
+    assert set(rows) == set(listed)
+    assert re.fullmatch(r"  tvd-rk3 +3 +3 +3 +2\.5127 +1\.7321 +- +1\.0000 +-", rows["tvd-rk3"])
+    assert re.fullmatch(r"  tr-bdf2 +2 +3 +2 +inf +inf +L +2\.4142 +-", rows["tr-bdf2"])
+    assert re.fullmatch(r"  trapezoidal +2 +2 +1 +inf +inf +A +2\.0000 +-", rows["trapezoidal"])
+    assert rows["yoshida4"].endswith("  second-order system, velocity-free forces")
+    sources = " ".join(" ".join(lines[lines.index("sources") :]).split())
+    assert all(" ".join(scheme.reference.split()) in sources for scheme in schemes.CATALOGUE.values())
 
 
 def test_an_infinite_limit_is_null_in_json(run: Run, monkeypatch) -> None:
@@ -148,7 +157,29 @@ def test_an_infinite_limit_is_null_in_json(run: Run, monkeypatch) -> None:
     monkeypatch.setattr(schemes, "CATALOGUE", {"stable": stable})
     (row,) = run("schemes", "--json").json
     assert (row["real_limit"], row["imaginary_limit"], row["a_stable"], row["l_stable"]) == (None, None, True, True)
-    assert re.fullmatch(r"stable +1 +1 +inf +inf +L", run("schemes").out.splitlines()[1])
+    lines = run("schemes").out.splitlines()
+    assert re.fullmatch(r"  stable +1 +1 +1 +inf +inf +L +- +-", lines[2])
+    assert "sources" not in lines
+
+
+def test_one_scheme_is_shown_with_its_program_and_starter(run: Run) -> None:
+    text = run("schemes", "milne").out
+    facts = {line[2:17].strip(): line[19:] for line in text.splitlines() if line[:2] == "  "}
+    assert (facts["order"], facts["evaluations"], facts["needs"]) == ("4", "2 a step", "equal steps")
+    assert facts["source"].startswith("W. E. Milne")
+    program, _, started = text.partition("starter for the first 3 steps: rk4")
+    assert "    z = z0 + dt (4/3 k0 + 1/3 k1 - k3 + 1/3 k6)\n" in program
+    assert "    k9 = f(t + dt, z)\n    z = z0 + dt (1/6 k0 + 1/3 k7 + 1/3 k8 + 1/6 k9)\n" in started
+    assert [row["name"] for row in run("schemes", "milne", "--json").json] == ["milne"]
+    for name in schemes.CATALOGUE:
+        assert max(map(len, run("schemes", name).out.splitlines())) <= 120
+
+
+def test_an_unknown_scheme_is_told_the_nearest_one(run: Run) -> None:
+    result = run("schemes", "rk5")
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith("error: unknown scheme 'rk5'; did you mean 'rk4'?")
+    assert run("schemes", "rk5", "--json").json["exit_code"] == 2
 
 
 def test_doctor_tells_what_there_is(run: Run, monkeypatch) -> None:
