@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-BENCHES = ("fused", "film", "campfire", "memory", "scaling")
+BENCHES = ("fused", "film", "campfire", "memory", "scaling", "precision", "pixels", "compile")
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or BENCHES:

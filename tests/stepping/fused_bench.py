@@ -9,6 +9,7 @@ import numpy as np
 
 from tparticles import schemes
 from tparticles.schemes import Scheme
+from tparticles.stepping.control import Tolerance
 from tparticles.stepping.fused import FusedStepper, StepReport
 from tparticles.systems.attributes import Attribute, Columns
 
@@ -40,10 +41,17 @@ class Particles:
         parts = [field.to_numpy()[: self.count] for field in self.columns[name]]
         return parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
 
-    def stepper(self, scheme: str | Scheme, *, clamp: str = "equal", lanes: int | None = None) -> FusedStepper:
-        """Return the stepper of a scheme, made once."""
-        found = schemes.get(scheme)
-        key = found.name, clamp, lanes
+    def stepper(
+        self,
+        scheme: str | Scheme,
+        *,
+        clamp: str = "equal",
+        lanes: int | None = None,
+        tolerance: Tolerance | None = None,
+    ) -> FusedStepper:
+        """Return the stepper of a scheme, made once; under a tolerance, of one that estimates its error."""
+        found = schemes.get(scheme) if tolerance is None else schemes.doubled(schemes.get(scheme))
+        key = found.name, clamp, lanes, type(tolerance)
         if key not in self._steppers:
             self._steppers[key] = FusedStepper(
                 self.system,
@@ -52,12 +60,25 @@ class Particles:
                 clamp=clamp,
                 columns=self.columns,
                 size=1e-3,
+                tolerance=tolerance,
                 lanes=lanes,
             )
-        return self._steppers[key]
+        stepper = self._steppers[key]
+        stepper.tolerance = tolerance  # its numbers are data
+        return stepper
 
     def run(
-        self, scheme: str | Scheme, t0: float, t1: float, dt: float, *, clamp: str = "equal", lanes: int | None = None
+        self,
+        scheme: str | Scheme,
+        t0: float,
+        t1: float,
+        dt: float,
+        *,
+        clamp: str = "equal",
+        lanes: int | None = None,
+        tolerance: Tolerance | None = None,
+        camera: np.ndarray | None = None,
     ) -> StepReport:
         """Advance all particles once, as in one frame."""
-        return self.stepper(scheme, clamp=clamp, lanes=lanes).advance(self.count, t0, t1, dt)
+        stepper = self.stepper(scheme, clamp=clamp, lanes=lanes, tolerance=tolerance)
+        return stepper.advance(self.count, t0, t1, dt, camera=camera)

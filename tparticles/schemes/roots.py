@@ -22,6 +22,7 @@ _ROUNDING = 1e-9
 # Where roots leave the circle one by one their modulus is good to rounding; where pairs stay on it up to a double root, to
 # the square root of that. There they leave it like a square root too, so that the limit is as good.
 _ALLOWED, _ALLOWED_NEUTRAL = 1e-12, 1e-6
+_NEAR, _ALLOWED_NEAR = 0.05, 1e-10
 # Beyond the largest distance a limit counts as infinite.
 _DISTANCES = np.concatenate([np.linspace(0, 20, 4001)[1:], np.geomspace(20, 1e8, 800)[1:]])
 
@@ -70,28 +71,30 @@ def stable_until(P: np.ndarray) -> float:
     # In units in which the coefficients are about 1 limits are too, however large the weights of the method.
     unit = _unit(P)
     P = P / unit ** np.arange(P.shape[1])
-    allowed = 1 + (_ALLOWED if start < 0 else _ALLOWED_NEUTRAL)
-    grows = spectral_radius(P, _DISTANCES) > allowed
-    if start < 0:
-        # So near 0 that the damping is below rounding.
-        grows &= _DISTANCES > 0.05
+    grows = _grows(P, _DISTANCES, start)
     if not grows.any():
         return math.inf
     first = int(np.argmax(grows))
     low, high = (_DISTANCES[first - 1] if first else 0.0), _DISTANCES[first]
     for _ in range(60):
         middle = (low + high) / 2
-        if spectral_radius(P, np.array([middle]))[0] > allowed:
+        if _grows(P, np.array([middle]), start)[0]:
             high = middle
         else:
             low = middle
     return float(low / unit)
 
 
+def _grows(P: np.ndarray, s: np.ndarray, start: int) -> np.ndarray:
+    """Return whether a root leaves the disc at the distances `s`; near 0 damping may be below rounding."""
+    allowed = np.where(s > _NEAR, _ALLOWED, _ALLOWED_NEAR) if start < 0 else _ALLOWED_NEUTRAL
+    return spectral_radius(P, s) > 1 + allowed
+
+
 def _unit(P: np.ndarray) -> float:
     """Return the largest |coefficient of s^k|^(1/k), up to which the powers of s are below 1, of a polynomial with some."""
     with np.errstate(divide="ignore"):
-        logs = np.log(np.abs(P[:, 1:]).max(axis=0) / max(1.0, np.abs(P[:, 0]).max())) / np.arange(1, P.shape[1])
+        logs = np.log(np.abs(P[:, 1:]).max(axis=0) / np.abs(P[:, 0]).max()) / np.arange(1, P.shape[1])
     return float(np.exp(logs.max(initial=-np.inf))) or 1.0
 
 

@@ -211,7 +211,11 @@ class Pace:
                 b.h[lane],
                 span,
             )
-            bad = ti.math.isnan(error) | ti.math.isinf(error)
+            # Looked for in the parts: a maximum drops what is no number.
+            size = error
+            for d in ti.static(range(m)):
+                size += ti.abs(b.estimate[d][lane]) + ti.abs(b.z[d][lane])
+            bad = ti.math.isnan(size) | ti.math.isinf(size)
             b.error[lane] = ti.select(bad, _NO_NUMBER, ti.math.clamp(error, 1e-12, _NO_NUMBER))
 
     @ti.func

@@ -45,7 +45,12 @@ class Table:
             if variable:
                 triples = op.variable or [(weight, 0.0, 0.0) for weight in op.weights]
                 rows[i, 1 + width : 1 + width + 3 * len(triples)] = np.ravel(triples)
-        rows[-1, 1 : 1 + len(scheme.error_weights)] = scheme.error_weights
+        # The error is measured before the copies at the program's end: a weight goes to the register that is copied.
+        source = list(range(width))
+        for op in after:
+            source[op.slope] = source[op.source]
+        for j, weight in enumerate(scheme.error_weights):
+            rows[-1, 1 + source[j]] += weight
         edges = np.cumsum([0, *map(len, parts)]).astype(np.int32)
         return cls(scheme, table, edges, rows, (*run, *start))
 
