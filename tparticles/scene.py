@@ -218,7 +218,8 @@ def _check_scheme(scheme: Scheme, group: Group) -> None:
             f"{group.system.order} have none; take a Runge-Kutta scheme (rk4)"
         )
     if "velocity-free forces" in scheme.needs and not group.system.velocity_free:
-        guilty = [type(f).__name__ for f in group.system.forces if not getattr(f, "velocity_free", False)]
+        forces = getattr(group.system, "forces", ())
+        guilty = [type(f).__name__ for f in forces if not getattr(f, "velocity_free", False)]
         raise InputError(
             f"{here}: its order {scheme.order} holds for forces that do not depend on the velocity, and {', '.join(guilty)} may "
             "(a force that does not says `velocity_free = True`); take velocity-verlet or rk4"

@@ -20,4 +20,5 @@ def test_double_precision(evaluate):
     r = q - np.round(q)
     exact = [np.sin(2 * np.pi * r), np.cos(2 * np.pi * r), np.exp(x), np.exp(-s), -np.expm1(-s) / s, np.cbrt(c)]
     for column, values in zip(found.T, exact, strict=True):
-        np.testing.assert_allclose(column, values, rtol=4e-15, atol=1e-16)
+        # 2 pi r is rounded here, where ours is not: near a zero that is all there is
+        np.testing.assert_allclose(column, values, rtol=4e-15, atol=5e-16)

@@ -109,6 +109,9 @@ def test_a_sweep_ends_where_rounding_rules_or_time_runs_out():
     assert list(until_useless(fall, 2e-4, longest=9)) == fall[:2]
     slow = [point(seconds=s, largest=1 / s) for s in (0.1, 0.9, 2.0, 3.0)]
     assert list(until_useless(slow, 1e-9, longest=1.0)) == slow[:3]
+    blown = [point(seconds=s, largest=math.inf) for s in (0.1, 2.0)]
+    assert list(until_useless([*blown, *slow], 1e-9, longest=1.0)) == []
+    assert list(until_useless([blown[0], *slow], 1e-9, longest=1.0)) == slow[:3]
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,9 @@ def test_without_matplotlib_one_line_says_what_to_install(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     code, out, err = run("stability", "--scheme", "rk4")
     assert code == 0
-    assert err.splitlines() == ["no pictures: matplotlib is missing; install it with: pip install 'tparticles[plots]'"]
+    assert err.splitlines() == [
+        "no pictures: matplotlib is missing; install it with: pip install 'tparticles[studies]'"
+    ]
     assert sorted(path.name for path in Path("renders/studies").iterdir()) == ["stability.csv", "stability.json"]
     assert "2.7853" in out
 

@@ -186,8 +186,8 @@ class PixelTolerance:
     The local error is projected by the scene's camera; what is allowed is shared out over the frame in proportion to the steps, and
     over `frames` frames. An error in v counts as the way it leads astray within a frame.
     `frames` stands for how much early errors grow as well as for how many add up: turbulence pulls neighbours apart by e in a
-    quarter of a second, so that errors grow a thousandfold in two. The default keeps scenes of that kind within half a pixel
-    (`python -m tests.bench pixels`); 1 bounds what each frame adds.
+    quarter of a second, so that errors grow a thousandfold in two: the default. It is no bound, since single particles that pass
+    a stagnation point part faster (measured: `python -m tests.bench pixels`); 1 bounds what each frame adds.
     """
 
     px: Positive = 0.5

@@ -19,7 +19,7 @@ from . import precision_command
 def study(context: click.Context) -> None:
     """Measure the schemes: order, stability, energy, unequal steps.
 
-    Each study writes DIR/NAME.json, DIR/NAME.csv and, where matplotlib is installed (pip install 'tparticles[plots]'),
+    Each study writes DIR/NAME.json, DIR/NAME.csv and, where matplotlib is installed (pip install 'tparticles[studies]'),
     pictures DIR/NAME*.png. Results of the same study in DIR are replaced.
     """
     if context.invoked_subcommand is None:

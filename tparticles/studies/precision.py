@@ -8,6 +8,7 @@ Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equat
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ import numpy as np
 from ..errors import InputError, RunError
 from ..schemes import Scheme, doubled
 from ..stepping.control import ErrorControl, check_precision
+from ..stepping.fused import StepReport
 from . import peers
 from .ensemble import Ensemble, applicable, start_engine
 from .work_problems import Work
@@ -26,6 +28,7 @@ TOLERANCES = tuple(10.0**-k for k in range(2, 11))
 PEER_TOLERANCES = tuple(10.0**-k for k in range(3, 10))
 TARGETS = (1e-3, 1e-6)
 FLOOR = {"f32": 1e-6, "f64": 1e-9}  # of the error: finer steps gain nothing, or nobody asks for it
+_BLOWN = 1e3  # an error above this is no result
 _LONGEST = 0.5  # [s]; a sweep ends with the first run that takes longer
 _LONGEST_PEER = 6.0
 _REPEATED, _REPEATS = 0.15, 4  # a run is timed again until this long [s], at most so often
@@ -205,11 +208,15 @@ def _adaptive(
 def until_useless(points: Iterable[Point | None], floor: float, *, longest: float = _LONGEST) -> Iterator[Point]:
     """Yield the points of a sweep, from coarse to fine, until rounding rules or a run takes longer than `longest` [s].
 
-    Runs that blew up (None) are left out.
+    Runs that blew up have no finite error and are left out, as are those that cannot be (None); their time counts.
     """
     best, worse = math.inf, 0
     for point in points:
         if point is None:
+            continue
+        if not point.largest < _BLOWN:
+            if point.seconds > longest:
+                return
             continue
         yield point
         worse = 0 if point.largest < 0.9 * best else worse + 1
@@ -228,19 +235,19 @@ def _timed(
     setting: float,
     control: ErrorControl | None = None,
     name: str = "",
-) -> Point | None:
+) -> Point:
     dt = setting if control is None else work.span
+    begin = time.perf_counter()
     try:
         run = ensemble.run(scheme, [work.span], dt, tolerance=control)
         seconds = [run.seconds]
-        while len(seconds) < _REPEATS and sum(seconds) < _REPEATED:
+        while np.isfinite(run.states).all() and len(seconds) < _REPEATS and sum(seconds) < _REPEATED:
             seconds.append(ensemble.run(scheme, [work.span], dt, tolerance=control).seconds)
+        states, report = run.states[0], run.report
     except (RunError, OverflowError):
-        return None
-    largest, median = errors(run.states[0], exact)
-    if not largest < 1e3:
-        return None
-    tried = (run.report.steps + run.report.rejected) / ensemble.count
+        seconds, states, report = [time.perf_counter() - begin], np.full_like(exact, np.nan), StepReport()
+    largest, median = errors(states, exact)
+    tried = (report.steps + report.rejected) / ensemble.count
     return Point(
         solver=name or scheme.name,
         control="fixed" if control is None else "error",
@@ -248,7 +255,7 @@ def _timed(
         setting=setting,
         seconds=min(seconds),
         evaluations=tried * scheme.evaluations,
-        steps=run.report.steps / ensemble.count,
+        steps=report.steps / ensemble.count,
         largest=largest,
         median=median,
     )

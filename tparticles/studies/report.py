@@ -16,7 +16,7 @@ from ..errors import InputError, RunError
 from ..output import jsonable
 from ..output.files import atomic_file, open_folder, reason
 
-INSTALL = "no pictures: matplotlib is missing; install it with: pip install 'tparticles[plots]'"
+INSTALL = "no pictures: matplotlib is missing; install it with: pip install 'tparticles[studies]'"
 _DPI = 110
 
 
