@@ -37,6 +37,8 @@ def no_leaks(tmp_path: Path) -> Iterator[None]:
     """No test may leave a thread, a child process or a temporary file behind."""
     threads, processes = set(threading.enumerate()), children()
     yield
+    for thread in set(threading.enumerate()) - threads:
+        thread.join(5)  # Ctrl-C may interrupt the wait for a thread that is about to end
     assert set(threading.enumerate()) <= threads
     assert children() <= processes
     assert not list(tmp_path.rglob(".*.tmp"))
