@@ -14,7 +14,18 @@ from .look import Look
 
 # Standard deviation [px] of the pixel filter: a dot smaller than a pixel still has a smooth, alias-free footprint.
 FILTER_SIGMA = 0.55
-_NEAR = 1e-3  # [m]; nothing nearer to the pin-hole is drawn
+NEAR = 1e-3  # [m]; nothing nearer to the pin-hole is drawn
+
+
+@ti.func
+def place(c: ti.template(), x):
+    """Return (depth [m], u [px], v [px]) of a point seen by the camera row `c`; v grows downward."""
+    d = x - ti.Vector([c[0], c[1], c[2]])
+    depth = d.dot(ti.Vector([c[9], c[10], c[11]]))
+    scale = c[12] / ti.max(depth, NEAR)
+    u = c[13] + scale * d.dot(ti.Vector([c[3], c[4], c[5]]))
+    v = c[14] - scale * d.dot(ti.Vector([c[6], c[7], c[8]]))
+    return ti.max(depth, NEAR * 0.5), u, v
 
 
 @ti.data_oriented
@@ -56,9 +67,9 @@ class Projector:
             age = ti.cast(self.view.age(i, t), ti.f32)
             size = ti.cast(self.view.size(i), ti.f32) + self.appearance.growth * age
             x = ti.cast(self.view.position(i), ti.f32)
-            depth, u, v = self.place(camera, x)
+            depth, u, v = place(camera, x)
             open_for = ti.min(shutter, ti.max(age, 0.0))
-            depth2, u2, v2 = self.place(camera, x - open_for * ti.cast(self.view.velocity(i), ti.f32))
+            depth2, u2, v2 = place(camera, x - open_for * ti.cast(self.view.velocity(i), ti.f32))
             diameter = size * camera[12] / depth
             energy = ti.static(math.pi / 4) * diameter * diameter * self.shader.color(self.view.temperature(i, t), age)
             if shutter > 0.0:
@@ -66,20 +77,10 @@ class Projector:
             if ti.static(self.fades):
                 energy *= self.fade(age / ti.cast(self.view.lifetime(i), ti.f32))
             dots.u[j], dots.v[j] = u, v
-            dots.du[j] = ti.select(depth2 > _NEAR, u2 - u, 0.0)
-            dots.dv[j] = ti.select(depth2 > _NEAR, v2 - v, 0.0)
-            dots.sigma[j] = ti.select(depth > _NEAR, self.sigma(diameter), 0.0)
+            dots.du[j] = ti.select(depth2 > NEAR, u2 - u, 0.0)
+            dots.dv[j] = ti.select(depth2 > NEAR, v2 - v, 0.0)
+            dots.sigma[j] = ti.select(depth > NEAR, self.sigma(diameter), 0.0)
             dots.r[j], dots.g[j], dots.b[j] = energy[0], energy[1], energy[2]
-
-    @ti.func
-    def place(self, c: ti.template(), x):
-        """Return (depth [m], u [px], v [px]) of a point seen by the camera row `c`; v grows downward."""
-        d = x - ti.Vector([c[0], c[1], c[2]])
-        depth = d.dot(ti.Vector([c[9], c[10], c[11]]))
-        scale = c[12] / ti.max(depth, _NEAR)
-        u = c[13] + scale * d.dot(ti.Vector([c[3], c[4], c[5]]))
-        v = c[14] - scale * d.dot(ti.Vector([c[6], c[7], c[8]]))
-        return ti.max(depth, _NEAR * 0.5), u, v
 
     @ti.func
     def sigma(self, diameter):
@@ -96,7 +97,7 @@ class Projector:
     @ti.func
     def coldest(self, camera: ti.template(), size, x):
         """Return the temperature [K] below which a dot of diameter `size` [m] at `x` [m] shows nothing (`frost_table`)."""
-        depth, _u, _v = self.place(camera, ti.cast(x, ti.f32))
+        depth, _u, _v = place(camera, ti.cast(x, ti.f32))
         diameter = ti.cast(size, ti.f32) * camera[12] / depth
         low, high = ti.static(2.0**_FROST_LOW, 2.0**_FROST_HIGH)
         # the bits of a float order like the float: the upper ones are the table's index, the others the weight

@@ -1,0 +1,111 @@
+"""A spring mesh as part of a scene: what it is, what pulls on it, what it bounces off, how it is stepped and what it looks like."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, SkipValidation
+
+from . import schemes
+from .errors import InputError
+from .physics.colliders import Surface
+from .physics.forces import Gravity
+from .physics.law import ForceLike
+from .physics.mesh import Mesh
+from .render.wires import Wires
+from .schemes import Scheme
+from .spec import NonNegative, Positive, spec
+from .stepping.control import Clamp, Fixed, StabilityLimit
+from .track import Track
+
+Guard = Literal["error", "halve", "kill"]
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, tuple | list) else (value,)
+
+
+def _check_mesh(value: Any) -> Any:
+    if not isinstance(value, Mesh):
+        raise ValueError("should be a Mesh, such as cloth(...) or rope(...)")
+    return value
+
+
+@spec
+class MeshGroup:
+    """A spring mesh: `mesh` under its springs and `forces` (accelerations [m/s^2]), bouncing off `colliders` at a distance `radius` [m].
+
+    `scheme`, `steps` (`Fixed` or `StabilityLimit`) and `clamp` are the scene's where they are None: sparks and a stiff cloth
+    seldom want the same. `temperature` [K], or a `Track` of it, is that of the whole mesh, for wires that glow.
+    `guard`: what to do where the mesh blows up (no number, energy from nowhere, a spring `longest` times its rest length): "error"
+    stops the film, "halve" takes the frame again with half the step, "kill" lets the mesh vanish and goes on.
+
+    Raises:
+        InputError: parts that do not fit.
+    """
+
+    name: str
+    mesh: Annotated[SkipValidation[Mesh], BeforeValidator(_check_mesh)]
+    forces: Annotated[SkipValidation[tuple[Any, ...]], BeforeValidator(_tuple)] = (Gravity(),)
+    colliders: Annotated[SkipValidation[tuple[Any, ...]], BeforeValidator(_tuple)] = ()
+    radius: NonNegative = 0.0
+    appearance: Wires = Wires()
+    temperature: Positive | Track | None = None
+    scheme: Annotated[
+        SkipValidation[Scheme | None], BeforeValidator(lambda v: None if v is None else schemes.get(v))
+    ] = None
+    steps: Fixed | StabilityLimit | None = None
+    clamp: Clamp | None = None
+    guard: Guard = "error"
+    longest: Annotated[float, Field(gt=1)] = 20.0
+
+    def __post_init__(self) -> None:
+        here = f"group '{self.name}'"
+        for force in self.forces:
+            if not isinstance(force, ForceLike):
+                raise InputError(f"{here}: {force!r} is no force: it has no acceleration(self, t, x, v)")
+        for collider in self.colliders:
+            Surface.of(collider)
+        if self.appearance.by == "temperature" and self.temperature is None:
+            raise InputError(f"{here}: wires coloured by temperature need one; give MeshGroup.temperature")
+        if isinstance(self.temperature, Track) and self.temperature.is_vector:
+            raise InputError(f"{here}: MeshGroup.temperature: a Track of numbers is needed, not of vectors")
+        if self.scheme is not None:
+            self.check_scheme(self.scheme)
+
+    def check_scheme(self, scheme: Scheme) -> None:
+        """Refuse a scheme that cannot run this mesh, before any kernel.
+
+        Raises:
+            InputError: it is for first-order systems, or its order holds without damping only.
+        """
+        here = f"scheme '{scheme.name}' cannot run group '{self.name}'"
+        if 2 not in scheme.system_orders:
+            raise InputError(f"{here}: it is for first-order systems")
+        if "velocity-free forces" in scheme.needs and not self.velocity_free:
+            raise InputError(
+                f"{here}: its order {scheme.order} holds for forces that do not depend on the velocity, and springs with damping "
+                "or a force here may (a force that does not says `velocity_free = True`); take velocity-verlet or rk4"
+            )
+
+    @property
+    def velocity_free(self) -> bool:
+        """Whether no force depends on the velocity, as far as the forces say."""
+        free = all(getattr(force, "velocity_free", False) for force in self.forces)
+        return free and not bool(np.any(self.mesh.damping > 0))
+
+    @property
+    def conserves(self) -> bool:
+        """Whether nothing here can add energy: gravity alone, no paths, nothing that moves."""
+        still = all(not any(Surface.of(collider).velocity) for collider in self.colliders)
+        return all(isinstance(force, Gravity) for force in self.forces) and still and not self.mesh.paths
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """The field of all `Gravity` forces [m/s^2], shape (3,)."""
+        return np.sum([force.g for force in self.forces if isinstance(force, Gravity)] or [(0.0, 0.0, 0.0)], axis=0)
+
+    def temperature_at(self, t: float) -> float | None:
+        """Return the temperature [K] at time `t` [s]."""
+        return float(self.temperature.at(t)) if isinstance(self.temperature, Track) else self.temperature

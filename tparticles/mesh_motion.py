@@ -1,0 +1,276 @@
+"""A mesh group at work: advances its mesh from frame to frame, watches over it, and draws it."""
+
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from . import backend
+from .errors import InputError, RunError
+from .mesh_group import MeshGroup
+from .physics.mesh import Mesh
+from .physics.mesh_rates import largest_rates
+from .render.dots import Dots
+from .render.film import Film
+from .render.look import Look
+from .render.wires import WireProjector
+from .schemes import Scheme
+from .stepping.contact import Contact
+from .stepping.control import Fixed, StabilityLimit, frame_step
+from .stepping.fused import StepReport
+from .stepping.staged import StagedStepper
+from .systems.spring_mesh import SpringMesh, energies
+
+_HALVINGS = 10
+_NOWHERE = 0.5  # the part of the moving energy that may come from nowhere before it counts as a blow-up
+_MODES = np.geomspace(1.0, 1e-3, 13)  # of the largest frequency, where the stability limit is looked up
+
+
+def stable_step(scheme: Scheme, mesh: Mesh) -> float:
+    """Return a step [s] that is stable on the springs of a mesh however they turn, infinite where nothing limits it.
+
+    Damping along the springs goes with their stiffness: a mode of frequency w has the damping ratio zeta w / w_max, if the
+    stiffest one has zeta.
+    """
+    rates = largest_rates(mesh)
+    if rates.frequency == 0:
+        return math.inf
+    zeta = rates.damping / (2 * rates.frequency)
+    return min(scheme.stability.oscillator_limit(float(zeta * f)) / (rates.frequency * f) for f in _MODES)
+
+
+@ti.data_oriented
+class _View:
+    """How the renderer reads a mesh."""
+
+    def __init__(self, system: SpringMesh):
+        self.system = system
+        self.vertex_count, self.spring_count = system.count, len(system.mesh.springs)
+        self.pairs = tuple(ti.field(ti.i32, max(1, self.spring_count)) for _ in range(2))
+        self.rest = ti.field(ti.f32, max(1, self.spring_count))
+        self.torn = ti.field(ti.i32, max(1, self.spring_count)) if system.tears else None
+        if self.spring_count:
+            for field, column in zip(self.pairs, system.mesh.springs.T, strict=True):
+                field.from_numpy(np.ascontiguousarray(column, np.int32))
+            self.rest.from_numpy(system.mesh.rest.astype(np.float32))
+
+    def refresh(self) -> None:
+        """Look up which springs are torn."""
+        if self.torn is not None and self.spring_count:
+            self.torn.from_numpy((~self.system.whole()).astype(np.int32))
+
+    @ti.func
+    def position(self, i):
+        return ti.Vector([self.system.z[d][i] for d in ti.static(range(3))])
+
+    @ti.func
+    def velocity(self, i):
+        return ti.Vector([self.system.z[3 + d][i] for d in ti.static(range(3))])
+
+    @ti.func
+    def ends(self, j):
+        return self.pairs[0][j], self.pairs[1][j]
+
+    @ti.func
+    def strain(self, j):
+        a, b = self.ends(j)
+        return ti.cast((self.position(b) - self.position(a)).norm(), ti.f32) / self.rest[j] - 1.0
+
+    @ti.func
+    def whole(self, j):
+        result = True
+        if ti.static(self.system.tears):
+            result = self.torn[j] == 0
+        return result
+
+
+class MeshMotion:
+    """One allocated mesh group.
+
+    Arguments:
+        spec: the group.
+        scheme, steps, clamp: of the scene, for where the group has none of its own.
+        look: how film becomes a picture.
+        frame: seconds of a frame.
+    """
+
+    def __init__(self, spec: MeshGroup, *, scheme: Scheme, steps: Any, clamp: str, look: Look, frame: float):
+        self.spec, self.mesh = spec, spec.mesh
+        self.scheme = spec.scheme or scheme
+        spec.check_scheme(self.scheme)
+        steps = spec.steps or steps
+        if not isinstance(steps, Fixed | StabilityLimit):
+            raise InputError(
+                f"group '{spec.name}': a mesh steps as a whole, by Fixed or StabilityLimit, not {type(steps).__name__}; "
+                "give MeshGroup.steps"
+            )
+        self.stable = stable_step(self.scheme, self.mesh)
+        self.dt = self._step(steps, frame)
+        self.system = SpringMesh(
+            self.mesh, forces=spec.forces, fixed=self.mesh.pinned, registers=self.scheme.registers
+        )
+        contact = Contact(self.system, spec.colliders, radius=spec.radius)
+        self.driven = np.flatnonzero(self.mesh.driver >= 0).astype(np.int32)
+        self.stepper = StagedStepper(
+            self.system,
+            scheme=self.scheme,
+            clamp=spec.clamp or clamp,
+            contact=contact,
+            driven=self.driven,
+            drive=self._path,
+            velocity_free=spec.velocity_free,
+        )
+        if len(self.driven):
+            x = self.mesh.x.copy()
+            x[self.driven] = self._path(0.0)
+            self.system.write(x, self.mesh.v)
+        self.view = _View(self.system)
+        self.projector = WireProjector(self.view, spec.appearance, look)
+        self.born, self.gone = False, False
+        self.on_step: Callable[[float], None] | None = None
+        self._least: float | None = None  # energy so far [J]
+
+    def _step(self, steps: Fixed | StabilityLimit, frame: float) -> float:
+        if isinstance(steps, Fixed):
+            return frame_step(steps, scheme=self.scheme, bound=None, frame=frame)
+        if self.stable == 0:
+            raise InputError(
+                f"group '{self.spec.name}': scheme '{self.scheme.name}' has no stable step on undamped springs: take another "
+                "scheme (velocity-verlet, rk4), give the springs some damping, or step with Fixed(dt)"
+            )
+        # springs set no pace for an implicit scheme, and none set none at all
+        return frame_step(Fixed(dt=min(steps.safety * self.stable, frame)), scheme=self.scheme, bound=None, frame=frame)
+
+    def _path(self, t: float) -> np.ndarray:
+        """Return where the driven vertices are at time `t` [s], shape (d, 3)."""
+        offsets = np.stack([path.at(t) for path in self.mesh.paths])
+        return self.mesh.x[self.driven] + offsets[self.mesh.driver[self.driven]]
+
+    @property
+    def bytes(self) -> int:
+        """How much memory the fields take."""
+        real = 4 if backend.current().precision == "f32" else 8
+        per_entry = 4 + real * (2 + self.system.damped + self.system.tears)
+        return self.system.padded * real * (13 + 6 * self.system.k[0].shape[0] // self.system.padded) + (
+            len(self.system.spring) * per_entry
+        )
+
+    def energies(self) -> dict[str, float]:
+        """Return kinetic, spring and gravity energy [J]."""
+        return energies(self.mesh, *self.system.read(), self.system.whole(), self.spec.gravity)
+
+    @property
+    def alive(self) -> int:
+        """How many vertices there are."""
+        return self.system.count if self.born and not self.gone else 0
+
+    def emit(self, t0: float, t1: float) -> int:
+        """Let the mesh begin, at t = 0; return how many vertices began."""
+        if self.born or t1 <= 0:
+            return 0
+        self.born = True
+        return self.system.count
+
+    def advance(self, t0: float, t1: float, camera: np.ndarray) -> tuple[StepReport, int]:
+        """Advance from `t0` to `t1` [s]; return the steps taken, and how many vertices vanished.
+
+        Raises:
+            RunError: it blew up.
+        """
+        if not self.alive:
+            return StepReport(), 0
+        report = self._advance(max(t0, 0.0), t1)
+        return report, self.system.count if self.gone else 0
+
+    def _advance(self, t0: float, t1: float) -> StepReport:
+        dt, before = self.dt, self.snapshot() if self.spec.guard == "halve" else None
+        for _ in range(_HALVINGS + 1):
+            try:
+                report = self.stepper.advance(t0, t1, dt, on_step=self.on_step)
+                self._watch(dt)
+            except RunError as error:
+                if self.spec.guard == "kill":
+                    self.gone = True
+                    return StepReport()
+                if before is None or dt <= self.dt / 2**_HALVINGS:
+                    raise error from None
+                dt /= 2
+                self.restore(before)
+            else:
+                return report
+        raise AssertionError("the loop returns or raises")
+
+    def _watch(self, dt: float) -> None:
+        """Find what has blown up."""
+        advice = "" if math.isinf(self.stable) else f"; its stable step on these springs is {self.stable:.3g} s"
+        advice = f"with steps of {dt:.3g} s of '{self.scheme.name}'{advice}"
+        x, v = self.system.read()
+        bad = np.flatnonzero(~(np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)))
+        if len(bad):
+            raise RunError(f"vertex {bad[0]} is no number any more {advice}")
+        if len(self.mesh.springs):
+            whole = self.system.whole()
+            i, j = self.mesh.springs.T
+            stretch = np.where(whole, np.linalg.norm((x[j] - x[i]).astype(float), axis=1) / self.mesh.rest, 0.0)
+            if stretch.max() > self.spec.longest:
+                worst = int(stretch.argmax())
+                raise RunError(
+                    f"spring {worst} (vertices {i[worst]} and {j[worst]}) is {stretch[worst]:.3g} times as long as at rest "
+                    f"(at most {self.spec.longest:g}) {advice}"
+                )
+        if self.spec.conserves:
+            energy = energies(self.mesh, x, v, self.system.whole(), self.spec.gravity)
+            total, moving = sum(energy.values()), energy["kinetic"] + energy["spring"]
+            if self._least is None:
+                first = energies(self.mesh, self.mesh.x, self.mesh.v, np.ones(len(self.mesh.springs), bool), self.spec.gravity)
+                self._least = sum(first.values())
+            rounding = 1e-6 * abs(energy["gravity"]) if backend.current().precision == "f32" else 0.0
+            if total - self._least > _NOWHERE * moving + rounding:
+                fastest = int(np.linalg.norm(v, axis=1).argmax())
+                raise RunError(
+                    f"the energy grew by {total - self._least:.3g} J to {moving:.3g} J from nowhere, vertex {fastest} is the fastest, {advice}"
+                )
+            self._least = min(self._least, total)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return all that the next frame depends on."""
+        s = self.system
+        arrays = {f"z{d}": field.to_numpy() for d, field in enumerate(s.z)}
+        arrays |= {f"k{d}": field.to_numpy() for d, field in enumerate(s.k)}
+        if self.stepper.contact.any:
+            arrays["touching"] = self.stepper.contact.touching.to_numpy()
+        if s.tears:
+            arrays["whole"] = s.whole()
+        least = math.nan if self._least is None else self._least
+        return arrays | self.stepper.past() | {"born": int(self.born), "gone": int(self.gone), "least": least}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `snapshot` returned."""
+        for name, fields in (("z", self.system.z), ("k", self.system.k)):
+            for d, field in enumerate(fields):
+                field.from_numpy(np.ascontiguousarray(state[f"{name}{d}"]))
+        if self.stepper.contact.any:
+            self.stepper.contact.touching.from_numpy(np.ascontiguousarray(state["touching"]))
+        if self.system.tears:
+            self.system.lose(~np.asarray(state["whole"], bool))
+        self.stepper.set_past(state)
+        self.born, self.gone = bool(state["born"]), bool(state["gone"])
+        least = float(state["least"])
+        self._least = None if math.isnan(least) else least
+
+    def state(self, t: float) -> dict[str, np.ndarray]:
+        """Return the arrays of the vertices at time `t` [s]."""
+        x, v = self.system.read()
+        count = self.alive
+        state = {"id": np.arange(count, dtype=np.int32), "x": x[:count], "birth": np.zeros(count), "age": np.full(count, t)}
+        return state | {"v": v[:count]}
+
+    def draw(self, film: Film, dots: Dots, *, t: float, shutter: float, camera: np.ndarray) -> None:
+        """Add the mesh to the film."""
+        if self.alive:
+            self.view.refresh()
+            self.projector.draw(film, dots, temperature=self.spec.temperature_at(t), shutter=shutter, camera=camera)

@@ -1,0 +1,201 @@
+"""A spring mesh at work: its fields, and the acceleration of a block of vertices.
+
+Forces are gathered: each vertex sums over its own springs in a fixed order, so no atomics, the same bits for any number of threads,
+and, as a spring pulls its two ends with the same rounded force, momentum is conserved to rounding. The adjacency is sliced: 16
+consecutive vertices have their n-th springs side by side, where the compiler vectorises over them.
+"""
+
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from .. import backend
+from ..binding import Parameters
+from ..physics.mesh import Mesh
+from .terms import FLOW_REGISTER, first_writers, force
+from .topology import LANES, Adjacency
+
+
+@ti.data_oriented
+class SpringMesh:
+    """The state of a mesh and its right-hand side, x' = v, v' = (springs + forces) / m.
+
+    Arguments:
+        mesh: vertices and springs.
+        forces: accelerations [m/s^2] beside the springs, each a `ForceLike`.
+        fixed: vertices, bool (n,), that no force moves.
+        registers: how many slopes to hold.
+
+    `z`, `z0`: 6 fields (x, v) of the padded length; `k`: 6 fields of slopes, register j from j * padded on.
+    """
+
+    def __init__(self, mesh: Mesh, *, forces: Sequence[Any], fixed: np.ndarray, registers: int):
+        self.mesh, self.count = mesh, len(mesh.x)
+        self.real = backend.current().real
+        self.lanes = backend.current().lanes
+        self.parameters = Parameters()
+        terms = [term for law in forces for term in force(law, self.parameters)]
+        self.terms = first_writers(terms)
+        near = Adjacency.of(mesh)
+        self.padded = (len(near.starts) - 1) * LANES
+        self.blocks = self.padded // self.lanes
+        self.damped = bool(np.any(mesh.damping > 0))
+        self.tears = bool(np.any(np.isfinite(mesh.tear)))
+        self.z, self.z0 = self._fields(6), self._fields(6)
+        self.k = self._fields(6, registers)
+        (self.inverse_mass,) = self._fields(1)
+        # per entry of the adjacency; what a mesh does not need is not there
+        self.starts = self._filled(near.starts, ti.i32)
+        self.column = self._filled(near.column, ti.i32)
+        self.spring = np.asarray(near.spring)
+        self.stiffness = self._filled(self._per_entry(mesh.stiffness), self.real)
+        self.rest = self._filled(self._per_entry(mesh.rest), self.real)
+        self.damping = self._filled(self._per_entry(mesh.damping), self.real) if self.damped else None
+        self.limit = self._filled(self._per_entry(mesh.rest * (1 + mesh.tear)), self.real) if self.tears else None
+        weights = np.zeros(self.padded)
+        weights[: self.count] = np.where(fixed, 0.0, 1.0 / mesh.mass)
+        self._fill(self.inverse_mass, weights)
+        self.write(mesh.x, mesh.v)
+
+    def _fields(self, components: int, times: int = 1) -> tuple[Any, ...]:
+        return tuple(ti.field(self.real, self.padded * times) for _ in range(components))
+
+    def _filled(self, values: np.ndarray, kind: Any) -> Any:
+        field = ti.field(kind, max(1, len(values)))
+        if len(values):
+            self._fill(field, values)
+        return field
+
+    def _fill(self, field: Any, values: np.ndarray) -> None:
+        kind = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]
+        field.from_numpy(np.ascontiguousarray(values, kind))
+
+    def _per_entry(self, values: np.ndarray) -> np.ndarray:
+        """Return a spring's value for each entry, 0 for padding."""
+        return np.append(np.asarray(values, float), 0.0)[self.spring]  # padding is -1
+
+    def write(self, x: np.ndarray, v: np.ndarray) -> None:
+        """Set positions and velocities, (n, 3) each."""
+        for d in range(6):
+            column = np.zeros(self.padded)
+            column[: self.count] = (x if d < 3 else v)[:, d % 3]
+            self._fill(self.z[d], column)
+            self._fill(self.z0[d], column)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities, (n, 3) each, in the precision of the run."""
+        columns = [field.to_numpy()[: self.count] for field in self.z]
+        return np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
+
+    def whole(self) -> np.ndarray:
+        """Return which springs are not torn, bool (m,)."""
+        whole = np.ones(len(self.mesh.springs), bool)
+        if self.tears:
+            gone = (self.stiffness.to_numpy()[: len(self.spring)] == 0) & (self.spring >= 0)
+            whole[self.spring[gone]] = self.mesh.stiffness[self.spring[gone]] == 0
+        return whole
+
+    def lose(self, springs: np.ndarray) -> None:
+        """Tear the springs where `springs`, bool (m,), says so."""
+        gone = np.append(springs, False)[self.spring]
+        for field in (self.stiffness, self.damping):
+            if field is not None:
+                values = field.to_numpy()
+                values[: len(gone)][gone] = 0
+                field.from_numpy(values)
+
+    @ti.func
+    def gather(self, b: ti.template(), block, t):
+        """Put state and acceleration of a block of vertices into b.z and b.a; t [s]."""
+        for lane in range(b.lanes):
+            i = block * b.lanes + lane
+            for d in ti.static(range(6)):
+                b.z[d][lane] = self.z[d][i]
+            for d in ti.static(range(3)):
+                b.a[d][lane] = 0.0
+        self._pull(b, block)
+        for lane in range(b.lanes):
+            w = self.inverse_mass[block * b.lanes + lane]
+            for d in ti.static(range(3)):
+                b.a[d][lane] *= w
+        self._force(b, t)
+        for lane in range(b.lanes):
+            if self.inverse_mass[block * b.lanes + lane] == 0.0:
+                for d in ti.static(range(3)):
+                    b.a[d][lane] = 0.0
+
+    @ti.func
+    def _pull(self, b: ti.template(), block):
+        """f_i = sum_j (k (l - l0) + c d.(v_j - v_i) / l) d / l with d = x_j - x_i, l = |d|."""
+        first = block * b.lanes
+        tiny = ti.cast(1e-30, float)
+        for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
+            for lane in range(b.lanes):
+                entry = e * LANES + first % LANES + lane
+                j = self.column[entry]
+                dx, dy, dz = self.z[0][j] - b.z[0][lane], self.z[1][j] - b.z[1][lane], self.z[2][j] - b.z[2][lane]
+                inverse = 1.0 / ti.sqrt(dx * dx + dy * dy + dz * dz + tiny)
+                pull = self.stiffness[entry] * (1.0 - self.rest[entry] * inverse)
+                if ti.static(self.damped):
+                    along = (
+                        dx * (self.z[3][j] - b.z[3][lane])
+                        + dy * (self.z[4][j] - b.z[4][lane])
+                        + dz * (self.z[5][j] - b.z[5][lane])
+                    )
+                    pull += self.damping[entry] * along * inverse * inverse
+                b.a[0][lane] += pull * dx
+                b.a[1][lane] += pull * dy
+                b.a[2][lane] += pull * dz
+
+    @ti.func
+    def _force(self, b: ti.template(), t):
+        """Add the accelerations beside the springs."""
+        for term, sets in ti.static(self.terms):
+            for p in range(term.passes):
+                for lane in range(b.lanes):
+                    value = term.evaluate(
+                        term.law,
+                        p,
+                        t,
+                        ti.Vector([b.z[d][lane] for d in ti.static(range(6))]),
+                        ti.Vector([b.u[d][lane] for d in ti.static(range(3))]),
+                        ti.Vector([t, 0.0]),
+                    )
+                    for d in ti.static(range(3)):
+                        if ti.static(term.first == FLOW_REGISTER):
+                            before = b.u[d][lane]
+                            if ti.static(sets):
+                                before = ti.select(p > 0, before, 0.0)
+                            b.u[d][lane] = before + value[d]
+                        else:
+                            b.a[d][lane] += value[d]
+
+    @ti.func
+    def tear(self, block):
+        """Tear the springs of a block of vertices that are too long; both ends see the same length."""
+        first = block * self.lanes
+        for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
+            for lane in range(self.lanes):
+                entry, i = e * LANES + first % LANES + lane, first + lane
+                j = self.column[entry]
+                dx, dy, dz = self.z[0][j] - self.z[0][i], self.z[1][j] - self.z[1][i], self.z[2][j] - self.z[2][i]
+                if dx * dx + dy * dy + dz * dz > self.limit[entry] * self.limit[entry]:
+                    self.stiffness[entry] = 0.0
+                    if ti.static(self.damped):
+                        self.damping[entry] = 0.0
+
+
+def energies(mesh: Mesh, x: np.ndarray, v: np.ndarray, whole: np.ndarray, g: np.ndarray) -> dict[str, float]:
+    """Return the energies [J] of a state in float64: kinetic, spring, and gravity in the field `g` [m/s^2] (from the origin)."""
+    x, v = np.asarray(x, float), np.asarray(v, float)
+    i, j = mesh.springs[whole].T if len(mesh.springs) else (np.zeros(0, int),) * 2
+    stretch = np.linalg.norm(x[j] - x[i], axis=1) - mesh.rest[whole]
+    return {
+        "kinetic": float(0.5 * np.sum(mesh.mass * np.sum(v * v, axis=1))),
+        "spring": float(0.5 * np.sum(mesh.stiffness[whole] * stretch**2)),
+        "gravity": float(-np.sum(mesh.mass * (x @ g))),
+    }
