@@ -12,20 +12,45 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ALLOWED = {
     "errors": set(),
     "spec": {"errors"},
+    "track": {"errors", "spec"},
     "rng": {"errors"},
     "tracing": set(),
     "backend": {"errors", "tracing"},
     "binding": {"errors", "backend"},
     "schemes": {"errors"},
-    "physics": {"errors", "rng", "spec", "backend"},
+    "physics": {"errors", "rng", "spec", "track", "backend"},
     "systems": {"errors", "spec", "rng", "backend", "binding", "physics"},
-    "stepping": {"errors", "spec", "backend", "binding", "schemes", "systems", "physics.law"},
-    "render": {"errors", "spec", "backend", "binding"},
+    "stepping": {"errors", "spec", "backend", "binding", "schemes", "systems", "physics.law", "physics.colliders"},
+    "render": {"errors", "spec", "track", "backend", "binding"},
     "output": {"errors"},
+    "frame": {"stepping"},
 }
 # The joins: a scene describes, a simulation runs. Nobody else sees both what moves and what draws.
-JOINS = {"scene", "simulation"}
-ON_TOP = {"cli", "job", "library", "describe", "batch", "parameter", "progress", "studies", "__main__", "__init__"}
+JOINS = {"scene", "simulation", "mesh_group", "mesh_motion"}
+ON_TOP = {
+    "log",
+    "regression",
+    "cli",
+    "command_options",
+    "render_command",
+    "checkpoint",
+    "resume",
+    "sharded",
+    "shard_estimate",
+    "shoot",
+}
+ON_TOP |= {
+    "data_scene",
+    "job",
+    "library",
+    "describe",
+    "batch",
+    "parameter",
+    "progress",
+    "studies",
+    "__main__",
+    "__init__",
+}
 
 
 def name_of(path):

@@ -167,3 +167,11 @@ def test_the_environment_does_not_override_and_stdout_is_clean():
     )
     assert run.returncode in (0, 3), run.stderr  # 0 on a machine with CUDA
     assert run.stdout == ""
+
+
+def test_only_groups_of_few_blocks_on_a_cpu_stay_in_one_thread():
+    """A CPU thread gets 512 blocks of 16 at least: more particles are worth a second one. A GPU wants a thread for each."""
+    cpu, gpu = backend.Backend("cpu", 2, "f32"), backend.Backend("vulkan", 2, "f32")
+    assert cpu.in_one_thread(8192)
+    assert not cpu.in_one_thread(8193)
+    assert not gpu.in_one_thread(16)

@@ -13,23 +13,31 @@ __version__ = "0.1.0"
 # Names that scenes use, by module. They load on first use: `import tparticles` alone does not import Taichi.
 _PUBLIC = {
     "errors": ("BackendError", "InputError", "RunError", "TparticlesError"),
+    "physics.colliders": ("Ball", "Capsule", "Plane", "Room"),
     "physics.cooling": ("Char", "Exponential", "Radiative"),
     "physics.emitters": ("Burst", "Emitter", "PerFrame", "Rate"),
     "physics.flows": ("ABC", "Plume", "Uniform", "Vortex"),
     "physics.forces": ("Drag", "Gravity"),
+    "physics.grid_colliders": ("DistanceGrid", "Heightfield"),
     "physics.law": ("Bound", "Flow", "Sum"),
+    "mesh_group": ("MeshGroup",),
+    "physics.mesh": ("Mesh",),
+    "physics.mesh_builders": ("cloth", "lattice", "rope", "sphere_shell", "spring_box"),
+    "physics.mesh_files": ("read_mesh",),
     "physics.noise": ("CurlNoise",),
     "physics.shapes": ("Box", "Cone", "Disc", "Line", "Point", "Sphere"),
     "physics.spread": ("Spread",),
     "render.appearance": ("Glow", "Gradient", "Picture", "Ramp"),
-    "render.camera": ("Camera", "Track"),
+    "render.camera": ("Camera",),
     "render.look": ("Look",),
+    "render.wires": ("Wires",),
     "scene": ("Group", "Scene"),
     "schemes": ("Scheme", "adams", "bdf", "modified_euler", "runge_kutta", "splitting"),
     "simulation": ("Frame", "Simulation"),
     "spec": ("spec",),
     "stepping.control": ("ErrorControl", "Fixed", "PixelTolerance", "StabilityLimit"),
     "systems.motion": ("Advected", "Newtonian"),
+    "track": ("Track",),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = sorted([*_HOME, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]

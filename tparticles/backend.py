@@ -31,6 +31,7 @@ Precision = Literal["f32", "f64"]
 # A lock is held for milliseconds; one this old belongs to a process that was killed.
 _DEAD_LOCK_AGE = 60.0  # [s]
 _PROBE_TIMEOUT = 60.0  # [s]
+_GRAIN = 512  # iterations that Taichi gives one CPU thread at least
 _LANES = 16  # particles in a lane block: one AVX-512 register of f32; wider blocks spill (tests/bench/fused.py)
 
 
@@ -51,6 +52,13 @@ class Backend:
     def lanes(self) -> int:
         """Particles per block: 16 on a CPU, one per thread on a GPU."""
         return _LANES if self.is_cpu else 1
+
+    def in_one_thread(self, count: int) -> bool:
+        """Whether a loop over the blocks of `count` particles has too few iterations for more than one CPU thread.
+
+        It is serialised then: where encoders keep all cores busy, waking another thread takes longer than the work.
+        """
+        return self.is_cpu and count <= _GRAIN * self.lanes
 
     @property
     def real(self) -> Any:
@@ -87,7 +95,7 @@ def start(*, arch: str = "auto", threads: int | None = None, precision: str = "f
         raise unknown("precision", precision, get_args(Precision))
     if threads is not None and threads < 1:
         raise InputError(f"threads = {threads}: at least 1 is needed")
-    wanted = Backend(_resolve(arch, precision), threads or _cores(), precision)
+    wanted = Backend(_resolve(arch, precision), threads or cores(), precision)
     if wanted != _current:
         _current = None  # a start that fails leaves none
         _initialise(wanted)
@@ -122,7 +130,7 @@ def memory() -> float:
     return found
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many CPU cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

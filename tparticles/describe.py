@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from . import __version__, library
 from .backend import Precision
-from .errors import TparticlesError, unknown
+from .errors import InputError, TparticlesError, unknown
 from .output import check_ffmpeg
 from .parameter import plain
 from .scene import QUALITIES
@@ -35,7 +35,7 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     built = script.build(quality=quality, settings=settings)
     frame, end = float(1 / built.fps), built.duration
     groups = []
-    for group in built.groups:
+    for group in built.particles:
         names = group.attributes(streaks=built.shutter > 0)
         births = schedules(group.name, group.emitters, seed=built.seed, end=end)
         capacity = group.derived_capacity(births, look=built.look, frame=frame)
@@ -52,6 +52,19 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
                 "attributes": {attribute.name: attribute.bytes(precision) for attribute in carried},
                 "bytes_per_particle": each,
                 "bytes": capacity * each,
+            }
+        )
+    for mesh in built.meshes:
+        scheme = mesh.scheme or built.scheme
+        groups.append(
+            {
+                "name": mesh.name,
+                "system": "SpringMesh",
+                "vertices": mesh.mesh.vertex_count,
+                "springs": mesh.mesh.spring_count,
+                "scheme": scheme.name,
+                "steps": repr(mesh.steps or built.steps),
+                "stable_step": mesh.stable_step(scheme),
             }
         )
     return {
@@ -71,10 +84,39 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     }
 
 
+def toml(scene: str, *, settings: Mapping[str, Any], quality: str) -> str:
+    """Return the text of a data scene that describes the same as `scene` with these settings, in this quality.
+
+    Raises:
+        InputError: see `library.load` and `Script.build`; the scene has a law of its own, or another thing that data cannot say.
+    """
+    from .data_scene.files import LARGEST_FILE
+    from .data_scene.toml import dumps
+    from .data_scene.write import write_scene
+
+    if quality not in QUALITIES:
+        raise unknown("quality", quality, QUALITIES)
+    script = library.load(scene)
+    built = script.build(quality=quality, settings=settings)
+    try:
+        text = dumps(write_scene(built, summary=script.summary))
+        if len(text.encode()) > LARGEST_FILE:
+            raise InputError(f"its meshes take {len(text) / 2**20:.0f} MiB, at most {LARGEST_FILE >> 20} are read")
+        return text
+    except InputError as error:
+        raise InputError(f"scene '{script.name}' cannot be written as data: {error}") from None
+
+
 def _parameter(name: str, parameter: Mapping[str, Any]) -> str:
     value, default = parameter["value"], parameter["default"]
     changed = f", default {default}" if value != default else ""
     return f"    {name} = {value} ({parameter['type']}{changed})"
+
+
+def _parameters(parameters: Mapping[str, Any]) -> list[str]:
+    if not parameters:
+        return ["  no parameters; of a data scene any value can be set by its path (--set look.ev=5)"]
+    return ["  parameters (--set name=value):", *(_parameter(name, p) for name, p in parameters.items())]
 
 
 def text(found: Mapping[str, Any]) -> str:
@@ -83,10 +125,15 @@ def text(found: Mapping[str, Any]) -> str:
         f"{found['scene']}: {found['summary']}",
         f"  {found['frames']} frames at {found['fps']} fps, {found['size'][0]}x{found['size'][1]}",
         f"  scheme {found['scheme']}, steps {found['steps']}, clamp {found['clamp']}",
-        "  parameters (--set name=value):",
-        *(_parameter(name, p) for name, p in found["parameters"].items()),
+        *_parameters(found["parameters"]),
     ]
     for g in found["groups"]:
+        if "vertices" in g:
+            lines += [
+                f"  mesh {g['name']}: {g['vertices']} vertices, {g['springs']} springs, scheme {g['scheme']}, steps {g['steps']}",
+                f"    stable step {g['stable_step']:.3g} s",
+            ]
+            continue
         attributes = " ".join(f"{n}:{b}" for n, b in g["attributes"].items())
         lines += [
             f"  group {g['name']}: {g['system']}, emitters {', '.join(g['emitters'])}",

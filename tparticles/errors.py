@@ -7,7 +7,8 @@ and leave with `exit_code`; anything else is a bug and keeps its traceback.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 
 class TparticlesError(Exception):
@@ -30,6 +31,16 @@ class BackendError(TparticlesError):
     """The machine cannot do what was asked for: an architecture, a precision. Exit code 3."""
 
     exit_code = 3
+
+
+class MismatchError(TparticlesError):
+    """What was made is not what the reference shows. Exit code 4; `details` is what --json tells of it."""
+
+    exit_code = 4
+
+    def __init__(self, message: str, details: Mapping[str, Any] | None = None):
+        super().__init__(message)
+        self.details = dict(details or {})
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:

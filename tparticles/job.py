@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import platform
+import shutil
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,20 +17,21 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
 from . import __version__, output, schemes
 from .backend import Arch, Precision
+from .checkpoint import Interval
 from .errors import InputError, unknown
 from .library import load
 from .parameter import description, plain
 from .render.appearance import Picture
+from .resume import Start, find_start, picture_check
 from .scene import QUALITIES, Scene, frame_numbers, frame_rate
-from .simulation import Frame, Simulation
+from .shoot import Source, shoot
+from .simulation import WHOLE, Frame, Share, Simulation
+from .stepping.rows import Request
 
-_WORKERS = 2  # PNG threads
-_QUEUE = 8  # frames in flight, 6 MB each at 1920x1080
 _BYTES_PER_PIXEL = 70  # film, tone curve and picture at their peak, as measured at 16384x16384
+_EVERY = "10s"  # between checkpoints: a shorter render makes none
 _POSES = 10_000  # of a moving camera, looked at before the film begins
 _LONGEST_SPAN = 60  # characters; file names have 255 at most
 
@@ -53,6 +55,8 @@ class Options:
     mp4: bool = True
     states: bool = False
     existing: str = "error"
+    resume: bool = False
+    checkpoint_every: str | None = None
 
 
 class Job:
@@ -80,6 +84,21 @@ class Job:
         _check_memory(self.size)
         self._check_camera()
         self.identity = self._identity()
+        # A film alone keeps no frames to go on from, and is not slowed down to keep some unless that is asked for.
+        keeps = options.png or options.resume or not options.mp4
+        self.interval = Interval.read(options.checkpoint_every or (_EVERY if keeps else "off"))
+        self.checkpoints = self.out / output.CHECKPOINTS
+        self.pictures = self._pictures()
+        if options.resume and options.mp4 and self.pictures is None:
+            raise InputError(
+                "--resume: a film is made anew of its pictures; leave out --no-png or --checkpoint-every off"
+            )
+
+    def _pictures(self) -> Path | None:
+        """Return where frames go: the film is made anew of them when a run is resumed."""
+        if self.options.png:
+            return self.out / "frames"
+        return self.checkpoints / "frames" if self.options.mp4 and not self.interval.never else None
 
     def _scene(self) -> Scene:
         o = self.options
@@ -145,34 +164,65 @@ class Job:
             },
         }
 
-    def run(self, progress: Callable[[Frame, int], None] = lambda frame, done: None) -> dict[str, Any]:
+    def run(
+        self,
+        progress: Callable[[Frame, int], None] = lambda frame, done: None,
+        *,
+        tell: Callable[[str], None] = lambda text: None,
+        source: Callable[[], Source] | None = None,
+    ) -> dict[str, Any]:
         """Render; call `progress(frame, frames done)` for each frame; return what run.json holds.
+
+        `tell` hears what is worth a line: a checkpoint that is refused, or where a resumed run goes on. `source` makes what the
+        frames come from, the scene's own simulation by default.
 
         Raises:
             InputError, BackendError: found before anything is written, but for what only a running kernel can tell.
             RunError: something failed on the way; finished frames stay, run.json says "failed".
             KeyboardInterrupt: passed on after what is finished has been kept and run.json says "interrupted".
         """
-        simulation = self._prepare()
-        arch = simulation.backend.arch
-        # Two architectures round differently: their frames are not of one film.
-        owner = f"{self.identity}-{arch}"
-        output.claim_folder(self.out, scene=self.script.name, identity=owner, existing=self._existing())
-        rows = self._finished_rows(owner)
-        manifest = output.Manifest(self.out / "run.json", self.header() | {"identity": owner, "arch": arch})
-        try:
-            for row in rows:
-                manifest.add(row)
-            with self.script.blamed():
-                self._shoot(simulation, manifest, progress)
-        except KeyboardInterrupt:
-            manifest.finish("interrupted")
-            raise
-        except BaseException as error:
-            manifest.finish("failed", str(error) or type(error).__name__)
-            raise
-        manifest.finish("done")
+        frames = self._prepare(source or self.simulation)
+        arch = frames.backend.arch
+        owner = self.owner(arch)
+        with output.held_folder(self.out):
+            output.claim_folder(self.out, scene=self.script.name, identity=owner, existing=self._existing())
+            rows = self._finished_rows(owner)
+            start = self._start(rows, owner, tell, anywhere=source is not None)
+            manifest = output.Manifest(self.out / "run.json", self.header() | {"identity": owner, "arch": arch})
+            try:
+                for row in rows:
+                    manifest.add(row)
+                if start.others or (self.options.mp4 and not self.film_path.is_file()):
+                    with self.script.blamed():
+                        shoot(self, frames, manifest, start, progress=progress, tell=tell)
+            except KeyboardInterrupt:
+                manifest.finish("interrupted")
+                raise
+            except BaseException as error:
+                manifest.finish("failed", str(error) or type(error).__name__)
+                raise
+            manifest.finish("done")
+            shutil.rmtree(self.checkpoints, ignore_errors=True)
         return output.read_manifest(self.out / "run.json")
+
+    def owner(self, arch: str) -> str:
+        """Return what makes two renders the same film: two architectures round differently, so it is part of it."""
+        return f"{self.identity}-{arch}"
+
+    def _start(self, rows: list[dict[str, Any]], owner: str, tell: Callable[[str], None], *, anywhere: bool) -> Start:
+        """Return where to set out, and what of the film is there."""
+        if not self.options.resume:
+            shutil.rmtree(self.checkpoints, ignore_errors=True)
+            return Start(self.frames)
+        check = picture_check(self.pictures, self.out / "states" if self.options.states else None, self.size)
+        start = find_start(
+            self.frames, rows, check=check, folder=self.checkpoints, identity=owner, tell=tell, anywhere=anywhere
+        )
+        if start.others and (start.kept or start.checkpoint):
+            tell(f"resumed at frame {start.others[0]}: {len(start.kept)} of {len(self.frames)} frames are there")
+        elif start.others and rows:
+            tell("no checkpoint to resume from: rendering from the beginning")
+        return start
 
     def _existing(self) -> str:
         """Return what to do with what is there: the remains of a run without one finished frame are nobody's loss."""
@@ -191,63 +241,32 @@ class Job:
         found = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
         return [row for row in found if type(row.get("frame")) is int]
 
-    def _writers(self, undo: contextlib.ExitStack) -> list[output.Writer]:
-        """Open what is written, in `undo` too: it closes what is open if a later one, or the pipeline, fails."""
-        writers: list[output.Writer] = []
-
-        def add(writer: output.Writer) -> None:
-            undo.callback(writer.abort)
-            writers.append(writer)
-
-        if self.options.mp4:
-            add(output.Mp4(self.film_path, fps=self.scene.fps, size=self.size))
-        if self.options.png:
-            add(output.PngSequence(self.out / "frames"))
-        if self.options.states:
-            add(output.States(self.out / "states"))
-        return writers
-
-    def _prepare(self) -> Simulation:
-        """Return the simulation; meanwhile ffmpeg shows that it starts, where it is needed."""
+    def _prepare(self, source: Callable[[], Source]) -> Source:
+        """Return what the frames come from; meanwhile ffmpeg shows that it starts, where it is needed."""
         if not self.options.mp4:
-            return self._simulation()
+            return source()
         with ThreadPoolExecutor(1) as pool:
             check = pool.submit(output.check_ffmpeg)
             try:
-                return self._simulation()
+                return source()
             finally:
                 check.result()  # of two errors this one is told
 
-    def _simulation(self) -> Simulation:
+    def simulation(self, share: Share = WHOLE, *, records: Mapping[str, Request] | None = None) -> Simulation:
+        """Return the simulation of all particles, or of a share of them; `records`: what to record of the meshes."""
         o = self.options
         with self.script.blamed():
-            return Simulation(self.scene, quality=o.quality, arch=o.arch, threads=o.threads, precision=o.precision)
+            return Simulation(
+                self.scene,
+                quality=o.quality,
+                arch=o.arch,
+                threads=o.threads,
+                precision=o.precision,
+                share=share,
+                records=records,
+            )
 
-    def _shoot(self, simulation: Simulation, manifest: output.Manifest, progress: Callable[[Frame, int], None]) -> None:
-        rows: dict[int, dict[str, Any]] = {}
-
-        def finished(record: output.FrameRecord) -> None:
-            row = rows.pop(record.number)
-            row["ms"]["encode"] = record.encode_ms
-            manifest.add(row | {"sha256": record.sha256})
-
-        with contextlib.ExitStack() as undo:
-            writers = self._writers(undo)
-            with output.Pipeline(writers, workers=_WORKERS, queue_size=_QUEUE, on_frame=finished) as pipeline:
-                try:
-                    for done, frame in enumerate(simulation.frames(self.frames), start=1):
-                        rows[frame.number] = frame.report.row()
-                        states = merged(frame.state()) if self.options.states else None
-                        pipeline.submit(output.OutputFrame(frame.number, frame.image, self._provenance(frame), states))
-                        if done == 1:
-                            pipeline.drain()  # somebody waits for it: let it not share the machine with the second
-                        progress(frame, done)
-                except Exception:
-                    with contextlib.suppress(Exception):  # the first error is the one to tell
-                        pipeline.drain()  # what was drawn before it is kept; only Ctrl-C drops what waits
-                    raise
-
-    def _provenance(self, frame: Frame) -> dict[str, str]:
+    def provenance(self, frame: Frame) -> dict[str, str]:
         """Return what a PNG says of itself; nothing that differs between two runs of the same film."""
         return {
             "Software": f"tparticles {__version__}",
@@ -306,18 +325,3 @@ def _picture_hash(background: Any) -> str:
         return hashlib.sha256(Path(background.path).read_bytes()).hexdigest()
     except OSError as error:
         raise InputError(f"background '{background.path}' cannot be read: {error.strerror}") from None
-
-
-def merged(groups: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return the states of all groups as one set of arrays: `group` is the index into `groups`, NaN what one does not have."""
-    result: dict[str, np.ndarray] = {"groups": np.array(list(groups))}
-    counts = [len(state["id"]) for state in groups.values()]
-    result["group"] = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-    for name in dict.fromkeys(name for state in groups.values() for name in state):
-        have = next(state[name] for state in groups.values() if name in state)
-        parts = [
-            state[name] if name in state else np.full((count, *have.shape[1:]), np.nan, have.dtype)
-            for count, state in zip(counts, groups.values(), strict=True)
-        ]
-        result[name] = np.concatenate(parts)
-    return result

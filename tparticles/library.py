@@ -1,5 +1,7 @@
-"""Scene scripts: find them by name or path, read their parameters, run their `scene` function.
+"""Scenes: find them by name or path; scripts: read their parameters, run their `scene` function.
 
+A name is looked up in ./scenes: NAME.py first, then NAME.toml and NAME.json (see `data_scene`), so that a script and a document of
+one name can lie side by side; the document is then taken by its path.
 A script is a Python file with `def scene(quality, *, name=default, ...) -> Scene`. Whatever it raises is shown with the script's
 own line.
 """
@@ -16,18 +18,24 @@ import sys
 import traceback
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from .data_scene.files import SUFFIXES, parse, read_text
 from .errors import InputError, TparticlesError, nearest, unknown
 from .parameter import Parameter
 from .spec import explain
 
+if TYPE_CHECKING:
+    from .data_scene.source import DataScene
+
 SCENES = Path("scenes")
+DATA = SCENES / "data"  # the scripts of ./scenes written as data
+_SUFFIXES = (".py", *SUFFIXES)
 _LONGEST = 300  # characters shown of somebody else's message
 _LONGEST_LINE = 80  # and of a line of source
 
@@ -173,23 +181,25 @@ def _reason(error: BaseException) -> str:
 
 
 def find(scene: str) -> Path:
-    """Return the path of a scene: a file, or a name in ./scenes.
+    """Return the path of a scene: a file, or a name in ./scenes, where a script comes before a document.
 
     Raises:
         InputError: there is none; the nearest name is suggested.
     """
     path = Path(scene)
     try:
-        if path.suffix != ".py" and len(path.parts) < 2:
-            named = SCENES / f"{scene}.py"
-            if not scene or not named.is_file():
+        if path.suffix not in _SUFFIXES and len(path.parts) < 2:
+            found = [p for p in (SCENES / f"{scene}{suffix}" for suffix in _SUFFIXES) if p.is_file()]
+            if not scene or not found:
                 raise unknown("scene", scene, names())
-            return named.resolve()
+            return found[0].resolve()
         if path.is_dir():
-            raise InputError(f"scene '{scene}' is a folder: a Python file or a name in {SCENES}/ is needed")
+            raise InputError(
+                f"scene '{scene}' is a folder: a Python, TOML or JSON file or a name in {SCENES}/ is needed"
+            )
         if not path.is_file():
-            hint = f"; did you mean '{scene}.py'?" if Path(f"{scene}.py").is_file() else ""
-            raise InputError(f"scene file '{scene}' does not exist{hint}")
+            near = next((f"{scene}{s}" for s in _SUFFIXES if Path(f"{scene}{s}").is_file()), "")
+            raise InputError(f"scene file '{scene}' does not exist" + (f"; did you mean '{near}'?" if near else ""))
     except (OSError, ValueError) as error:  # too long, NUL, no permission
         shown = scene if len(scene) <= _LONGEST else scene[:_LONGEST] + "..."
         raise InputError(f"scene '{shown}' cannot be read: {getattr(error, 'strerror', None) or error}") from None
@@ -198,7 +208,17 @@ def find(scene: str) -> Path:
 
 def names() -> list[str]:
     """Return the names of the scenes in ./scenes."""
-    return sorted(p.stem for p in SCENES.glob("*.py") if not p.stem.startswith("_"))
+    return sorted(_named(_SUFFIXES))
+
+
+def _named(suffixes: Sequence[str]) -> dict[str, Path]:
+    """Return the scenes in ./scenes by name; of several files of one name the one whose suffix comes first."""
+    found: dict[str, Path] = {}
+    for suffix in suffixes:
+        for path in SCENES.glob(f"*{suffix}"):
+            if not path.stem.startswith("_"):
+                found.setdefault(path.stem, path)
+    return found
 
 
 def _read(path: Path) -> str:
@@ -223,13 +243,31 @@ def _not_utf8(data: bytes) -> str:
     return ""
 
 
-def load(scene: str) -> Script:
-    """Load the script of a scene given by name or path, without running its `scene` function.
+def load(scene: str) -> Script | DataScene:
+    """Load a scene given by name or path: a script without running its `scene` function, or a document.
 
     Raises:
-        InputError: not found, a syntax error or an exception at import (its line is shown), no `scene`, an odd signature.
+        InputError: not found; of a script a syntax error or an exception at import (its line is shown), no `scene`, an odd
+            signature; of a document what its text says wrong.
     """
     path = find(scene)
+    if path.suffix not in SUFFIXES:
+        return load_script(path)
+    from .data_scene.source import load
+
+    return load(path, _script_of_library)
+
+
+def _script_of_library(name: str) -> Script:
+    """Load the script of that name in ./scenes, and no other file."""
+    scripts = _named((".py",))
+    if name not in scripts:
+        raise unknown("script", name, scripts)
+    return load_script(scripts[name].resolve())
+
+
+def load_script(path: Path) -> Script:
+    """Load a script; errors as `load` says."""
     source = _read(path)
     spec = importlib.util.spec_from_file_location(f"tparticles_scene_{path.stem}", path)
     assert spec is not None
@@ -284,10 +322,10 @@ def _hints(function: Callable[..., Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outline:
-    """What can be said of a script without running it: a list of scenes must be quick and run no code.
+    """What can be said of a scene without running it: a list of scenes must be quick and run no code.
 
     `parameters`: defaults by name, as values where they are literals and as source text where not.
-    `error`: what is wrong with the script, or an empty string.
+    `error`: what is wrong with the file, or an empty string.
     """
 
     name: str
@@ -296,8 +334,32 @@ class Outline:
     error: str = ""
 
 
+def outlines() -> list[Outline]:
+    """Read the outlines of all scenes in ./scenes, by name, and then of those in ./scenes/data, by path."""
+    found = [outline(path) for _, path in sorted(_named(_SUFFIXES).items())]
+    data = sorted(path for suffix in SUFFIXES for path in DATA.glob(f"*{suffix}"))
+    return found + [replace(outline(path), name=str(path)) for path in data]
+
+
 def outline(path: Path) -> Outline:
-    """Read the outline of a script; a broken one is described by its `error`."""
+    """Read the outline of a scene; a broken one is described by its `error`."""
+    return _document_outline(path) if path.suffix in SUFFIXES else _script_outline(path)
+
+
+def _document_outline(path: Path) -> Outline:
+    try:
+        document = parse(read_text(path), path.suffix)
+    except InputError as error:
+        text = str(error)
+        return Outline(path.stem, "", {}, text if str(path) in text else f"{path}: {text}")
+    summary, parameters = document.get("summary", ""), document.get("parameters", {})
+    summary = " ".join(summary.split()) if isinstance(summary, str) else ""
+    if isinstance(base := document.get("extends"), str):
+        summary = f"{summary or 'data'} (extends {base})"
+    return Outline(path.stem, summary, parameters if isinstance(parameters, dict) else {})
+
+
+def _script_outline(path: Path) -> Outline:
     try:
         source = _read(path)
         tree = ast.parse(source, str(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,12 +14,14 @@ from .physics.colliders import Surface
 from .physics.forces import Gravity
 from .physics.law import ForceLike
 from .physics.mesh import Mesh
+from .physics.mesh_rates import largest_rates
 from .render.wires import Wires
 from .schemes import Scheme
 from .spec import NonNegative, Positive, spec
 from .stepping.control import Clamp, Fixed, StabilityLimit
 from .track import Track
 
+_MODES = np.geomspace(1.0, 1e-3, 13)  # of the largest frequency, where the stability limit is looked up
 Guard = Literal["error", "halve", "kill"]
 
 
@@ -34,8 +37,9 @@ def _check_mesh(value: Any) -> Any:
 
 @spec
 class MeshGroup:
-    """A spring mesh: `mesh` under its springs and `forces` (accelerations [m/s^2]), bouncing off `colliders` at a distance `radius` [m].
+    """A spring mesh: `mesh` under its springs and `forces` (accelerations [m/s^2]).
 
+    It bounces off `colliders` where it comes nearer than `radius` [m].
     `scheme`, `steps` (`Fixed` or `StabilityLimit`) and `clamp` are the scene's where they are None: sparks and a stiff cloth
     seldom want the same. `temperature` [K], or a `Track` of it, is that of the whole mesh, for wires that glow.
     `guard`: what to do where the mesh blows up (no number, energy from nowhere, a spring `longest` times its rest length): "error"
@@ -88,6 +92,18 @@ class MeshGroup:
                 f"{here}: its order {scheme.order} holds for forces that do not depend on the velocity, and springs with damping "
                 "or a force here may (a force that does not says `velocity_free = True`); take velocity-verlet or rk4"
             )
+
+    def stable_step(self, scheme: Scheme) -> float:
+        """Return a step [s] that is stable on the springs however they turn and stretch, infinite where nothing limits it.
+
+        Damping along the springs goes with their stiffness: a mode of frequency w has the damping ratio zeta w / w_max, if the
+        stiffest one has zeta.
+        """
+        rates = largest_rates(self.mesh)
+        if rates.frequency == 0:
+            return math.inf
+        zeta = rates.damping / (2 * rates.frequency)
+        return min(scheme.stability.oscillator_limit(float(zeta * f)) / (rates.frequency * f) for f in _MODES)
 
     @property
     def velocity_free(self) -> bool:

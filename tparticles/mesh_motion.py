@@ -1,9 +1,10 @@
 """A mesh group at work: advances its mesh from frame to frame, watches over it, and draws it."""
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportOptionalCall=false
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,6 @@ import taichi as ti
 from . import backend
 from .errors import InputError, RunError
 from .mesh_group import MeshGroup
-from .physics.mesh import Mesh
-from .physics.mesh_rates import largest_rates
 from .render.dots import Dots
 from .render.film import Film
 from .render.look import Look
@@ -22,25 +21,13 @@ from .schemes import Scheme
 from .stepping.contact import Contact
 from .stepping.control import Fixed, StabilityLimit, frame_step
 from .stepping.fused import StepReport
+from .stepping.recorder import Recorder
+from .stepping.rows import Request
 from .stepping.staged import StagedStepper
 from .systems.spring_mesh import SpringMesh, energies
 
 _HALVINGS = 10
-_NOWHERE = 0.5  # the part of the moving energy that may come from nowhere before it counts as a blow-up
-_MODES = np.geomspace(1.0, 1e-3, 13)  # of the largest frequency, where the stability limit is looked up
-
-
-def stable_step(scheme: Scheme, mesh: Mesh) -> float:
-    """Return a step [s] that is stable on the springs of a mesh however they turn, infinite where nothing limits it.
-
-    Damping along the springs goes with their stiffness: a mode of frequency w has the damping ratio zeta w / w_max, if the
-    stiffest one has zeta.
-    """
-    rates = largest_rates(mesh)
-    if rates.frequency == 0:
-        return math.inf
-    zeta = rates.damping / (2 * rates.frequency)
-    return min(scheme.stability.oscillator_limit(float(zeta * f)) / (rates.frequency * f) for f in _MODES)
+_NOWHERE = 0.5  # the part of the most energy that ever moved that may come from nowhere before it counts as a blow-up
 
 
 @ti.data_oriented
@@ -96,9 +83,20 @@ class MeshMotion:
         scheme, steps, clamp: of the scene, for where the group has none of its own.
         look: how film becomes a picture.
         frame: seconds of a frame.
+        record: what to record of its steps.
     """
 
-    def __init__(self, spec: MeshGroup, *, scheme: Scheme, steps: Any, clamp: str, look: Look, frame: float):
+    def __init__(
+        self,
+        spec: MeshGroup,
+        *,
+        scheme: Scheme,
+        steps: Any,
+        clamp: str,
+        look: Look,
+        frame: float,
+        record: Request | None = None,
+    ):
         self.spec, self.mesh = spec, spec.mesh
         self.scheme = spec.scheme or scheme
         spec.check_scheme(self.scheme)
@@ -108,11 +106,17 @@ class MeshMotion:
                 f"group '{spec.name}': a mesh steps as a whole, by Fixed or StabilityLimit, not {type(steps).__name__}; "
                 "give MeshGroup.steps"
             )
-        self.stable = stable_step(self.scheme, self.mesh)
+        self.stable = spec.stable_step(self.scheme)
         self.dt = self._step(steps, frame)
+        recorded = record is not None
         self.system = SpringMesh(
-            self.mesh, forces=spec.forces, fixed=self.mesh.pinned, registers=self.scheme.registers
+            self.mesh,
+            forces=spec.forces,
+            fixed=self.mesh.pinned,
+            registers=self.scheme.registers + recorded,  # one more for slopes that nothing but the record needs
+            tallies=recorded,
         )
+        self.recorder = Recorder(self.system, record, gravity=spec.gravity) if record else None
         contact = Contact(self.system, spec.colliders, radius=spec.radius)
         self.driven = np.flatnonzero(self.mesh.driver >= 0).astype(np.int32)
         self.stepper = StagedStepper(
@@ -123,6 +127,7 @@ class MeshMotion:
             driven=self.driven,
             drive=self._path,
             velocity_free=spec.velocity_free,
+            recorder=self.recorder,
         )
         if len(self.driven):
             x = self.mesh.x.copy()
@@ -131,8 +136,8 @@ class MeshMotion:
         self.view = _View(self.system)
         self.projector = WireProjector(self.view, spec.appearance, look)
         self.born, self.gone = False, False
-        self.on_step: Callable[[float], None] | None = None
-        self._least: float | None = None  # energy so far [J]
+        self._least: float | None = None  # energy so far [J]: all of it, and the most that moved
+        self._most = 0.0
 
     def _step(self, steps: Fixed | StabilityLimit, frame: float) -> float:
         if isinstance(steps, Fixed):
@@ -188,9 +193,10 @@ class MeshMotion:
 
     def _advance(self, t0: float, t1: float) -> StepReport:
         dt, before = self.dt, self.snapshot() if self.spec.guard == "halve" else None
+        mark = self.recorder.mark() if self.recorder else None
         for _ in range(_HALVINGS + 1):
             try:
-                report = self.stepper.advance(t0, t1, dt, on_step=self.on_step)
+                report = self.stepper.advance(t0, t1, dt)
                 self._watch(dt)
             except RunError as error:
                 if self.spec.guard == "kill":
@@ -200,6 +206,8 @@ class MeshMotion:
                     raise error from None
                 dt /= 2
                 self.restore(before)
+                if self.recorder and mark:
+                    self.recorder.rewind(mark, t0)
             else:
                 return report
         raise AssertionError("the loop returns or raises")
@@ -222,19 +230,30 @@ class MeshMotion:
                     f"spring {worst} (vertices {i[worst]} and {j[worst]}) is {stretch[worst]:.3g} times as long as at rest "
                     f"(at most {self.spec.longest:g}) {advice}"
                 )
-        if self.spec.conserves:
+        # (springs solved for to a part of their length, as pictures are, hold no energy that means anything)
+        if self.spec.conserves and (not self.scheme.implicit or backend.current().precision == "f64"):
             energy = energies(self.mesh, x, v, self.system.whole(), self.spec.gravity)
             total, moving = sum(energy.values()), energy["kinetic"] + energy["spring"]
             if self._least is None:
-                first = energies(self.mesh, self.mesh.x, self.mesh.v, np.ones(len(self.mesh.springs), bool), self.spec.gravity)
+                first = energies(
+                    self.mesh, self.mesh.x, self.mesh.v, np.ones(len(self.mesh.springs), bool), self.spec.gravity
+                )
                 self._least = sum(first.values())
-            rounding = 1e-6 * abs(energy["gravity"]) if backend.current().precision == "f32" else 0.0
-            if total - self._least > _NOWHERE * moving + rounding:
+            rounding = self._rounding(float(np.abs(x).max()))
+            self._most = max(self._most, moving)
+            if total - self._least > _NOWHERE * self._most + rounding:
                 fastest = int(np.linalg.norm(v, axis=1).argmax())
                 raise RunError(
-                    f"the energy grew by {total - self._least:.3g} J to {moving:.3g} J from nowhere, vertex {fastest} is the fastest, {advice}"
+                    f"the energy grew by {total - self._least:.3g} J from nowhere, to {moving:.3g} J; "
+                    f"vertex {fastest} is the fastest, {advice}"
                 )
             self._least = min(self._least, total)
+
+    def _rounding(self, reach: float) -> float:
+        """Return the energy [J] that rounding, and the slack of a contact, may make of positions up to `reach` [m]."""
+        slack = self.stepper.contact.slack + reach * (1e-6 if backend.current().precision == "f32" else 1e-14)
+        weight = self.mesh.mass.sum() * np.linalg.norm(self.spec.gravity)
+        return float(weight * slack + self.mesh.stiffness.sum() * slack**2)
 
     def snapshot(self) -> dict[str, Any]:
         """Return all that the next frame depends on."""
@@ -246,9 +265,13 @@ class MeshMotion:
         if s.tears:
             arrays["whole"] = s.whole()
         least = math.nan if self._least is None else self._least
-        return arrays | self.stepper.past() | {"born": int(self.born), "gone": int(self.gone), "least": least}
+        return (
+            arrays
+            | self.stepper.past()
+            | {"born": int(self.born), "gone": int(self.gone), "least": least, "most": self._most}
+        )
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `snapshot` returned."""
         for name, fields in (("z", self.system.z), ("k", self.system.k)):
             for d, field in enumerate(fields):
@@ -259,14 +282,19 @@ class MeshMotion:
             self.system.lose(~np.asarray(state["whole"], bool))
         self.stepper.set_past(state)
         self.born, self.gone = bool(state["born"]), bool(state["gone"])
-        least = float(state["least"])
+        least, self._most = float(state["least"]), float(state["most"])
         self._least = None if math.isnan(least) else least
 
     def state(self, t: float) -> dict[str, np.ndarray]:
         """Return the arrays of the vertices at time `t` [s]."""
         x, v = self.system.read()
         count = self.alive
-        state = {"id": np.arange(count, dtype=np.int32), "x": x[:count], "birth": np.zeros(count), "age": np.full(count, t)}
+        state = {
+            "id": np.arange(count, dtype=np.int32),
+            "x": x[:count],
+            "birth": np.zeros(count),
+            "age": np.full(count, t),
+        }
         return state | {"v": v[:count]}
 
     def draw(self, film: Film, dots: Dots, *, t: float, shutter: float, camera: np.ndarray) -> None:

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,12 +40,23 @@ class Parameter:
         Raises:
             InputError: it has another type, or holds NaN or infinity.
         """
+        return self._checked(value, self._from_text if isinstance(value, str) else self._from_value)
+
+    def take(self, value: Any) -> Any:
+        """Return a value of a document, where a text is a text and no number, as a value of this type.
+
+        Raises:
+            InputError: it has another type, or holds NaN or infinity.
+        """
+        return self._checked(value, self._from_value)
+
+    def _checked(self, value: Any, way: Callable[[TypeAdapter[Any], Any], Any]) -> Any:
         try:
             adapter = TypeAdapter(self.type)
         except PydanticUserError:
             raise InputError(f"parameter {self.name} is a {self.type_name}, which cannot be set from outside") from None
         try:
-            result = self._from_text(adapter, value) if isinstance(value, str) else self._from_value(adapter, value)
+            result = way(adapter, value)
         except ValidationError as error:
             reason = error.errors(include_url=False)[0]["msg"].removeprefix("Input ").partition(", unable to")[0]
             raise self._refused(value, reason) from None

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, SkipValidation
 
 from . import schemes
 from .errors import InputError, unknown
+from .mesh_group import MeshGroup
 from .physics.cooling import Char, Exponential, Radiative
 from .physics.emitters import Emitter, Schedule
 from .physics.law import Bound
@@ -147,7 +148,7 @@ class Group:
 
 @spec
 class Scene:
-    """A film: groups of particles, a camera, a look, and how time is stepped.
+    """A film: groups of particles and spring meshes, a camera, a look, and how time is stepped.
 
     `duration` [s], `fps` (24, 25, "30000/1001"), `size` (width, height) [px] or None for the size of the quality.
     `scheme`: a name of the catalogue or a `Scheme` made in the scene script. `steps`: the controller; `clamp`: how its steps are
@@ -157,7 +158,7 @@ class Scene:
         InputError: a wrong value, two groups of one name.
     """
 
-    groups: Annotated[tuple[Group, ...], BeforeValidator(_one_or_many), Field(min_length=1)]
+    groups: Annotated[tuple[Group | MeshGroup, ...], BeforeValidator(_one_or_many), Field(min_length=1)]
     camera: Camera
     look: Look = Look()
     background: Background = Gradient()
@@ -174,13 +175,28 @@ class Scene:
         names = [group.name for group in self.groups]
         for name in {n for n in names if names.count(n) > 1}:
             raise InputError(f"two groups are named '{name}'")
-        for group in self.groups:
+        for group in self.particles:
             _check_scheme(self.scheme, group)
-        check_fit(self.steps, self.clamp, self.scheme)
+        for group in self.meshes:
+            scheme = group.scheme or self.scheme
+            group.check_scheme(scheme)
+            check_fit(group.steps or self.steps, group.clamp or self.clamp, scheme)
+        if self.particles:
+            check_fit(self.steps, self.clamp, self.scheme)
         if self.frame_count < 1:
             raise InputError(f"duration = {self.duration:g} s is shorter than one frame at {self.fps} fps")
         if self.frame_count > _MOST_FRAMES:
             raise InputError(f"duration = {self.duration:g} s at {self.fps} fps: more than {_MOST_FRAMES} frames")
+
+    @property
+    def particles(self) -> tuple[Group, ...]:
+        """The groups of particles without neighbours."""
+        return tuple(group for group in self.groups if isinstance(group, Group))
+
+    @property
+    def meshes(self) -> tuple[MeshGroup, ...]:
+        """The spring meshes."""
+        return tuple(group for group in self.groups if isinstance(group, MeshGroup))
 
     @property
     def frame_count(self) -> int:

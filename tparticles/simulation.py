@@ -9,16 +9,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import backend
 from .binding import Parameters
 from .errors import InputError, RunError
+from .frame import Frame, FrameReport
 from .physics.emitters import Schedule
 from .render.appearance import film_background
 from .render.film import Dots, Film
@@ -28,59 +29,17 @@ from .schemes import Scheme
 from .stepping.control import Fixed, StabilityLimit, check_precision, frame_step
 from .stepping.fused import FusedStepper, StepReport
 from .stepping.pace import memory
+from .stepping.rows import Request
 from .systems.attributes import Attribute, Columns, bytes_allocated
 from .systems.mortality import Mortality
-from .systems.population import Population, schedules
+from .systems.population import WHOLE, Population, Share, schedules
 from .systems.view import View
+
+if TYPE_CHECKING:
+    from .mesh_motion import MeshMotion
 
 _FEW_DOTS, _MOST_DOTS = 1 << 14, 1 << 20  # dots handed to the film at a time: room for at least, at most
 _LEAST, _SMALL = 1 << 12, 1 << 16  # slots of a group, see `_roomy`
-
-
-@dataclass
-class FrameReport:
-    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds."""
-
-    frame: int
-    time: float
-    born: int = 0
-    died: int = 0
-    alive: int = 0
-    steps: int = 0
-    rejected: int = 0
-    dt_min: float = 0.0
-    dt_max: float = 0.0
-    ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
-
-    def row(self) -> dict[str, Any]:
-        """Return the report as a row of run.json."""
-        return dataclasses.asdict(self)
-
-    def add_steps(self, report: StepReport) -> None:
-        """Count in what a stepper did."""
-        self.rejected += report.rejected
-        if report.steps:
-            self.dt_min = min(self.dt_min, report.dt_min) if self.steps else report.dt_min
-            self.dt_max = max(self.dt_max, report.dt_max)
-            self.steps += report.steps
-
-
-@dataclass
-class Frame:
-    """A finished frame. `state` and `linear` read the simulation and are valid until the next frame is asked for."""
-
-    number: int
-    image: np.ndarray
-    report: FrameReport
-    _simulation: Simulation
-
-    def linear(self) -> np.ndarray:
-        """Return the film before tone curve and background, film values, float64, shape (h, w, 3)."""
-        return self._simulation.film.linear()
-
-    def state(self) -> dict[str, dict[str, np.ndarray]]:
-        """Return the living, by group: id, x [m], v [m/s] if the scene has it, T [K], age [s], birth [s]."""
-        return {group.spec.name: group.state(self.report.time) for group in self._simulation.groups}
 
 
 @dataclass(frozen=True)
@@ -96,16 +55,18 @@ class _Plan:
     dt: float
 
     @classmethod
-    def of(cls, spec: Group, scene: Scene) -> _Plan:
-        """Plan a group of `scene`. Births are made up to the film's duration, whatever the frame rate."""
+    def of(cls, spec: Group, scene: Scene, share: Share) -> _Plan:
+        """Plan the `share` of a group of `scene`. Births are made up to the film's duration, whatever the frame rate."""
         frame = float(1 / scene.fps)
         births = schedules(spec.name, spec.emitters, seed=scene.seed, end=scene.duration)
         bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
         scheme = scene.running_scheme
+        capacity = spec.derived_capacity(births, look=scene.look, frame=frame)
+        consecutive = capacity if spec.capacity is None else sum(schedule.total for schedule in births)
         return cls(
             spec,
             births,
-            spec.derived_capacity(births, look=scene.look, frame=frame),
+            min(capacity, share.room(consecutive, len(births))),
             spec.attributes(streaks=scene.shutter > 0),
             memory(scheme, spec.components, adaptive=scene.adaptive),
             scheme,
@@ -121,9 +82,9 @@ def _roomy(capacity: int) -> int:
 class _Group:
     """One allocated group."""
 
-    def __init__(self, plan: _Plan, scene: Scene):
+    def __init__(self, plan: _Plan, scene: Scene, share: Share):
         spec = self.spec = plan.spec
-        self.dt = plan.dt
+        self.dt, self.scheme = plan.dt, scene.scheme
         self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity), more=plan.more)
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
@@ -144,7 +105,38 @@ class _Group:
             frost=self.projector if spec.freezes else None,
             ages=any(e.lifetime is not None for e in spec.emitters),
         )
-        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births)
+        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births, share=share)
+
+    def snapshot(self) -> dict[str, np.ndarray | int | float]:
+        """Return all that the group's future depends on: what is computed anew for each frame is not part of it."""
+        return self.population.snapshot()
+
+    def restore(self, state: Mapping[str, np.ndarray | int | float]) -> None:
+        """Go on from a `snapshot`. Raises RunError if it is of another group."""
+        self.population.restore(state)
+
+    @property
+    def alive(self) -> int:
+        """How many particles there are."""
+        return self.population.alive
+
+    def emit(self, t0: float, t1: float) -> int:
+        """Let be born who is due between two times [s]; return how many."""
+        return self.population.emit(t0, t1)
+
+    def advance(self, t0: float, t1: float, camera: np.ndarray) -> tuple[StepReport, int]:
+        """Advance from `t0` to `t1` [s] and bury the dead; return the steps taken, and how many died.
+
+        Raises:
+            RunError: a particle went astray.
+        """
+        steps = self.stepper.advance(self.alive, t0, t1, self.dt, camera=camera)
+        died = self.mortality.mark(self.alive, t1, camera)
+        return steps, self.population.bury(self.mortality.dead, died)
+
+    def draw(self, film: Film, dots: Dots, *, t: float, shutter: float, camera: np.ndarray) -> None:
+        """Add the living to the film."""
+        draw(self.projector, film, dots, count=self.alive, t=t, shutter=shutter, camera=camera)
 
     def state(self, t: float) -> dict[str, np.ndarray]:
         """Return the arrays of the living at time `t` [s]."""
@@ -168,6 +160,8 @@ class Simulation:
         quality: which size to draw if the scene names none.
         size, fps, seed, scheme: in place of the scene's own.
         arch, threads, precision: see `backend.start`.
+        share: the part of the particles to simulate; all by default.
+        records: what to record of the meshes, by name; each needs a sink before it runs.
 
     Raises:
         InputError, BackendError: before anything is allocated.
@@ -185,6 +179,8 @@ class Simulation:
         arch: str = "auto",
         threads: int | None = None,
         precision: str = "f32",
+        share: Share = WHOLE,
+        records: Mapping[str, Request] | None = None,
     ):
         options = {"size": size, "fps": fps, "seed": seed, "scheme": scheme}
         self.scene = dataclasses.replace(scene, **{k: v for k, v in options.items() if v is not None})
@@ -193,67 +189,126 @@ class Simulation:
         self.width, self.height = scene.resolution(quality)
         self.frame_seconds = 1 / scene.fps
         check_precision(scene.steps, self.backend.precision)
-        plans = [_Plan.of(group, scene) for group in scene.groups]
+        plans = [_Plan.of(group, scene, share) for group in scene.particles]
         _check_memory(plans, self.backend.precision)
         self._camera_at = 0.0, camera_row(scene.camera.pose(0.0), self.width, self.height)
         # A cached kernel fits if its fields were created in the same order and laid out with the same others. So the film
         # comes first, in a size that most scenes share, and then each group by itself.
-        room = 1 << (max(plan.capacity for plan in plans) - 1).bit_length()
+        most = max([1, *(plan.capacity for plan in plans), *(m.mesh.spring_count for m in scene.meshes)])
+        room = 1 << (most - 1).bit_length()
         room = min(_MOST_DOTS, max(_FEW_DOTS, room))
-        self.film, self.dots = Film(self.width, self.height, capacity=room), Dots(room)
-        self.film.set_background(film_background(scene.background, scene.look, self.width, self.height))
-        self.groups: list[_Group] = []
+        self.film, self.dots = make_film(scene, (self.width, self.height), capacity=room), Dots(room)
+        self.groups: list[_Group | MeshMotion] = []
         for plan in plans:
             backend.lay_out()
-            self.groups.append(_Group(plan, scene))
+            self.groups.append(_Group(plan, scene, share))
+        for spec in scene.meshes if share.index == 0 else ():  # whose vertices depend on each other: no shares of them
+            from .mesh_motion import MeshMotion  # here: a film without meshes starts sooner
+
+            backend.lay_out()
+            self.groups.append(
+                MeshMotion(
+                    spec,
+                    scheme=scene.scheme,
+                    steps=scene.steps,
+                    clamp=scene.clamp,
+                    look=scene.look,
+                    frame=float(self.frame_seconds),
+                    record=(records or {}).get(spec.name),
+                )
+            )
         self.table, self.film_max = scene.look.display_table()
-        first = min(e.first_time for g in scene.groups for e in g.emitters)
+        first = min([0.0, *(e.first_time for g in scene.particles for e in g.emitters)])
         self._frame = min(0, math.floor(Fraction(first).limit_denominator(10**6) * scene.fps))
+        self._report: FrameReport | None = None  # what has been counted towards the next frame that is asked for
+
+    def finished(self, number: int) -> None:
+        """A frame is on the disk: nothing of it is kept here."""
 
     def time(self, frame: int) -> float:
         """Return the time [s] that a frame shows: frame * den / num, rounded once."""
         return float(Fraction(frame) / self.scene.fps)
 
-    def frames(self, numbers: Sequence[int] | None = None) -> Iterator[Frame]:
+    def frames(
+        self, numbers: Sequence[int] | None = None, *, after: Callable[[int], None] = lambda number: None
+    ) -> Iterator[Frame]:
         """Simulate and yield the frames `numbers` (rising, from 1), all of them by default; the others are not drawn.
+
+        `after` is called with the number of each simulated frame, drawn or not, when a `snapshot` may be taken.
 
         Raises:
             RunError: a particle went astray, a group overflowed; names frame, group and particle or emitter.
         """
+        for report in self.exposures(numbers, after=after):
+            yield Frame(report.frame, self.develop(report), report, self)
+
+    def exposures(
+        self, numbers: Sequence[int] | None = None, *, after: Callable[[int], None] = lambda number: None
+    ) -> Iterator[FrameReport]:
+        """Do as `frames`, and leave the film undeveloped; yield the reports."""
         last = self.scene.frame_count
         for number in range(1, last + 1) if numbers is None else numbers:
             if not 1 <= number <= last:
                 raise InputError(f"frame {number} leaves the film, which has frames 1-{last}")
             if number <= self._frame:
                 raise InputError(f"frame {number} is past: the simulation has reached frame {self._frame}")
-            report = self.advance_to(number)
-            yield Frame(number, self.draw(report), report, self)
+            report = self.advance_to(number, after=after)
+            self._expose(report)
+            yield report
+            after(number)
 
-    def advance_to(self, number: int) -> FrameReport:
-        """Advance to a frame without drawing; return the counts since the last frame that was asked for."""
-        report = FrameReport(number, self.time(number))
+    def advance_to(self, number: int, *, after: Callable[[int], None] = lambda number: None) -> FrameReport:
+        """Advance to a frame without drawing; return the counts since the last frame that was asked for.
+
+        `after` is called for the frames on the way.
+        """
+        report = self._report = self._report or FrameReport(number, 0.0)
+        report.frame, report.time = number, self.time(number)
         while self._frame < number:
             t0, t1 = self.time(self._frame), self.time(self._frame + 1)
             for group in self.groups:
                 self._advance(group, report, t0, t1)
             self._frame += 1
-        report.alive = sum(group.population.alive for group in self.groups)
+            if self._frame < number:
+                after(self._frame)
+        report.alive = sum(group.alive for group in self.groups)
+        self._report = None
         return report
 
-    def _advance(self, group: _Group, report: FrameReport, t0: float, t1: float) -> None:
-        people = group.population
+    def snapshot(self) -> dict[str, dict[str, np.ndarray | int | float]]:
+        """Return all that the frames to come depend on: counters of the frame on the way, and what each group says of itself."""
+        counts = dataclasses.asdict(self._report or FrameReport(self._frame, 0.0))
+        counts |= {f"ms {part}": ms for part, ms in counts.pop("ms").items()}
+        return {"film": counts | {"frame": self._frame}} | {f"group {g.spec.name}": g.snapshot() for g in self.groups}
+
+    def restore(self, state: Mapping[str, Mapping[str, np.ndarray | int | float]]) -> None:
+        """Go on from a `snapshot` of a simulation of the same scene: the frames to come have the same bits.
+
+        Raises:
+            RunError: it is of another scene.
+        """
+        if list(state) != ["film", *(f"group {group.spec.name}" for group in self.groups)]:
+            raise RunError(f"the state holds {', '.join(state)}: it is of another scene")
+        for group in self.groups:
+            group.restore(state[f"group {group.spec.name}"])
+        counts: dict[str, Any] = dict(state["film"])
+        ms = {part: counts.pop(f"ms {part}") for part in ("births", "step", "draw")}
+        self._frame = counts["frame"]
+        self._report = FrameReport(**counts, ms=ms)
+
+    def _advance(self, group: _Group | MeshMotion, report: FrameReport, t0: float, t1: float) -> None:
         start = time.perf_counter()
-        report.born += people.emit(t0, t1)
+        report.born += group.emit(t0, t1)
         middle = time.perf_counter()
         try:
-            report.add_steps(group.stepper.advance(people.alive, t0, t1, group.dt, camera=self._camera(t1)))
-            died = group.mortality.mark(people.alive, t1, self._camera(t1))
+            steps, died = group.advance(t0, t1, self._camera(t1))
         except RunError as error:
             raise RunError(
                 f"frame {self._frame + 1}, group '{group.spec.name}': {error} "
-                f"(t = {t1:.6g} s, scheme {self.scene.scheme.name}, dt <= {group.dt:.3g} s)"
+                f"(t = {t1:.6g} s, scheme {group.scheme.name}, dt <= {group.dt:.3g} s)"
             ) from None
-        report.died += people.bury(group.mortality.dead, died)
+        report.add_steps(steps)
+        report.died += died
         report.ms["births"] += (middle - start) * 1e3
         report.ms["step"] += (time.perf_counter() - middle) * 1e3
 
@@ -264,22 +319,30 @@ class Simulation:
 
     def draw(self, report: FrameReport) -> np.ndarray:
         """Draw the present state; return the picture, (h, w, 3) uint8."""
+        self._expose(report)
+        return self.develop(report)
+
+    def _expose(self, report: FrameReport) -> None:
         start = time.perf_counter()
         self.film.clear()
         shutter = self.scene.shutter * float(self.frame_seconds)
         for group in self.groups:
-            draw(
-                group.projector,
-                self.film,
-                self.dots,
-                count=group.population.alive,
-                t=report.time,
-                shutter=shutter,
-                camera=self._camera(report.time),
-            )
+            group.draw(self.film, self.dots, t=report.time, shutter=shutter, camera=self._camera(report.time))
+        report.ms["draw"] += (time.perf_counter() - start) * 1e3
+
+    def develop(self, report: FrameReport) -> np.ndarray:
+        """Return the picture of what was drawn last, (h, w, 3) uint8."""
+        start = time.perf_counter()
         image = self.film.develop(self.table, self.film_max, dither=self.scene.look.dither)
         report.ms["draw"] += (time.perf_counter() - start) * 1e3
         return image
+
+
+def make_film(scene: Scene, size: tuple[int, int], *, capacity: int) -> Film:
+    """Return a film of `size` (width, height) [px] with the scene's background, for dots `capacity` at a time."""
+    film = Film(*size, capacity=capacity)
+    film.set_background(film_background(scene.background, scene.look, *size))
+    return film
 
 
 def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
@@ -293,3 +356,10 @@ def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
             f"({sum(needed) / 2**30:.1f} GiB with all groups), this machine has {available / 2**30:.1f} GiB; "
             "give shorter lifetimes, lower rates or a Group.capacity"
         )
+
+
+def room(scene: Scene, *, precision: str, share: Share = WHOLE) -> tuple[int, int]:
+    """Return how many particles of a share can be alive at once, and the bytes that they take; allocates nothing."""
+    plans = [_Plan.of(group, scene, share) for group in scene.particles]
+    needed = [plan.capacity * bytes_allocated(plan.names, precision, plan.more) for plan in plans]
+    return sum(plan.capacity for plan in plans), sum(needed)

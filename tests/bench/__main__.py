@@ -3,7 +3,22 @@
 import subprocess
 import sys
 
-BENCHES = ("fused", "film", "campfire", "memory", "scaling", "precision", "pixels", "compile")
+BENCHES = (
+    "fused",
+    "film",
+    "campfire",
+    "memory",
+    "scaling",
+    "precision",
+    "pixels",
+    "compile",
+    "check",
+    "sweep",
+    "resume",
+    "shards",
+    "log",
+    "implicit",
+)
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or BENCHES:

@@ -45,7 +45,7 @@ def measured(work: Callable[[], object]) -> tuple[float, float]:
 
 def render(out: Path) -> None:
     """Render the film, in a process of its own."""
-    subprocess.run(command(out), check=True)
+    subprocess.run(command(out), check=True, env=environment())
 
 
 def encode(images: list[np.ndarray], out: Path) -> None:
@@ -57,10 +57,15 @@ def encode(images: list[np.ndarray], out: Path) -> None:
             pipeline.submit(OutputFrame(number, image))
 
 
+def environment(**more: str) -> dict[str, str]:
+    """Return the environment of a user's process, which keeps the bytecode of what it imports."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | more
+
+
 def first_frame(out: Path, cache: Path) -> float:
     """Return the seconds from the start of the process to the first frame on disk."""
     start = time.perf_counter()
-    process = subprocess.Popen(command(out), env={**os.environ, "TPARTICLES_CACHE": str(cache)})
+    process = subprocess.Popen(command(out), env=environment(TPARTICLES_CACHE=str(cache)))
     while not (out / "frames" / "000001.png").exists() and process.poll() is None:
         time.sleep(0.01)
     elapsed = time.perf_counter() - start

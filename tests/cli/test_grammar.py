@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tparticles.cli import _settings, _size
+from tparticles.command_options import settings_option, size_option
 from tparticles.errors import InputError
 from tparticles.job import _span
 from tparticles.parameter import Parameter
@@ -95,7 +95,7 @@ def test_every_usual_rate_is_read_exactly(rate: Fraction) -> None:
 @example("٣x٤")
 def test_any_text_is_a_size_or_refused(text: str) -> None:
     try:
-        size = _size(None, None, text)
+        size = size_option(None, None, text)
     except InputError as error:
         one_line(error)
         return
@@ -107,7 +107,7 @@ def test_any_text_is_a_size_or_refused(text: str) -> None:
 @given(st.lists(st.text(max_size=12), max_size=4))
 def test_any_settings_are_pairs_or_refused(values: list[str]) -> None:
     try:
-        settings = _settings(None, None, values)
+        settings = settings_option(None, None, values)
     except InputError as error:
         one_line(error)
         return

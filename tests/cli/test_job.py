@@ -14,7 +14,8 @@ from PIL import Image
 
 from tparticles import library
 from tparticles.errors import InputError
-from tparticles.job import Job, Options, merged
+from tparticles.job import Job, Options
+from tparticles.shoot import merged
 
 PNG = {"mp4": False}
 

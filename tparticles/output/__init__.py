@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from .base import Null, OutputFrame, Tee, Writer, pixel_hash
 from .ffmpeg import check_ffmpeg
-from .folder import claim_folder
+from .folder import CHECKPOINTS, SHARDS, claim_folder, held_folder
+from .lock import FolderBusyError
 from .manifest import Manifest, jsonable, read_manifest
 from .mp4 import Mp4, check_film
 from .pipeline import FrameRecord, Pipeline
-from .png import PngSequence, encode_png, is_whole_png
+from .png import PngSequence, encode_png, is_whole_png, read_png
 from .states import States
 
 __all__ = [
+    "CHECKPOINTS",
+    "SHARDS",
+    "FolderBusyError",
     "FrameRecord",
     "Manifest",
     "Mp4",
@@ -30,8 +34,10 @@ __all__ = [
     "check_film",
     "claim_folder",
     "encode_png",
+    "held_folder",
     "is_whole_png",
     "jsonable",
     "pixel_hash",
     "read_manifest",
+    "read_png",
 ]

@@ -4,14 +4,38 @@ from __future__ import annotations
 
 import glob
 import re
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from ..errors import InputError, unknown
 from .files import FRAME_NAME, final_name, reason, temporary_path
+from .lock import LOCK_NAME, locked
 from .manifest import MANIFEST_NAME, read_manifest
 
+CHECKPOINTS, SHARDS = "checkpoint", "shards"  # folders of what an unfinished run needs
 _EXISTING = ("error", "overwrite")
+
+
+@contextmanager
+def held_folder(path: str | Path, *, patience: float = 0.3) -> Iterator[None]:
+    """Make the folder if need be and keep other processes out of it while the block runs.
+
+    patience: how long to wait for another process to let go [s]; by default as long as one may look who holds it.
+    Raises FolderBusyError, an InputError, that names the process which holds it; InputError if nothing can be written there.
+    """
+    path = Path(path)
+    with ExitStack() as stack:
+        try:
+            if path.exists() and not path.is_dir():
+                raise InputError(f"output folder {path} is a file: choose a folder with --out")
+            path.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(locked(path, patience=patience))
+        except (OSError, ValueError) as error:
+            why = reason(error) if isinstance(error, OSError) else error  # a NUL in the name
+            raise InputError(f"cannot write into output folder {path}: {why}; choose another with --out") from error
+        yield
 
 
 def claim_folder(path: str | Path, *, scene: str, identity: str, existing: str = "error") -> None:
@@ -19,7 +43,7 @@ def claim_folder(path: str | Path, *, scene: str, identity: str, existing: str =
 
     A folder that is absent, empty, or holds a run of the same scene and identity is taken as it is: rendering again
     gives the same files. A run of the same scene with another identity is an error unless `existing` is "overwrite";
-    then the frames, states and films of that run are removed, and nothing else. Its run.json stays until the new one
+    then the frames, states, films and log of that run are removed, and nothing else. Its run.json stays until the new one
     replaces it, so the folder is never without an owner. The folder of another scene, or one that holds files but no
     run.json, is never touched.
 
@@ -39,7 +63,7 @@ def claim_folder(path: str | Path, *, scene: str, identity: str, existing: str =
             raise InputError(f"output folder {path} is a file: choose a folder with --out")
         path.mkdir(parents=True, exist_ok=True)
         _probe(path)
-        names = sorted(entry.name for entry in path.iterdir() if final_name(entry) is None)
+        names = sorted(e.name for e in path.iterdir() if final_name(e) is None and e.name not in (LOCK_NAME, SHARDS))
         if MANIFEST_NAME in names:
             _check_owner(path, scene, identity, existing)
         elif names:
@@ -81,6 +105,11 @@ def _remove_run(path: Path, scene: str) -> None:
                 file.unlink()
         with suppress(OSError):  # it holds files that are not ours, or is not there
             (path / folder).rmdir()
+    shutil.rmtree(path / CHECKPOINTS, ignore_errors=True)
+    for piece in path.glob("*.film"):
+        piece.unlink()
+    for log in ("log.h5", "log.unfinished.h5"):
+        (path / log).unlink(missing_ok=True)
     # whole films, parts of films and what an interrupted run left of either
     for film in path.glob(f"{glob.escape(scene)}*.mp4"):
         if re.fullmatch(re.escape(scene) + r"(\.frames-[0-9x+-]+)?(\.partial)?\.mp4", film.name):

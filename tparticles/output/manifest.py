@@ -64,6 +64,11 @@ class Manifest:
             if time.monotonic() >= self._next_save:
                 self._save()
 
+    def save(self) -> None:
+        """Put every row on the disk now. Raises RunError if it cannot be saved."""
+        with self._lock:
+            self._save()
+
     def finish(self, status: Literal["done", "failed", "interrupted"] = "done", error: str | None = None) -> None:
         """Save for the last time.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
+from PIL.PngImagePlugin import PngImageFile, PngInfo
 
 from ..errors import RunError
 from .base import OutputFrame
@@ -97,6 +97,25 @@ def is_whole_png(path: str | Path) -> bool:
         file.seek(0, 2)
         file.seek(max(0, file.tell() - len(_END)))
         return file.read() == _END
+
+
+def read_png(path: str | Path, size: tuple[int, int]) -> np.ndarray | None:
+    """Return the pixels of one of our frames, uint8, shape (h, w, 3); None if the file is not whole or of another size [px].
+
+    What the file says of its size is looked at before anything is decoded, so that no bomb is unpacked.
+    Raises OSError if the file cannot be read.
+    """
+    if not is_whole_png(path):
+        return None
+    with open(path, "rb") as file:
+        head = file.read(26)
+        if struct.unpack(">II", head[16:24]) != size or head[24:] != b"\x08\x02":  # 8 bits of each of R, G, B
+            return None
+        file.seek(0)
+        try:
+            return np.asarray(PngImageFile(file))
+        except (SyntaxError, ValueError, OSError, EOFError, zlib.error, struct.error):
+            return None
 
 
 def _check_text(keyword: str, words: str) -> None:

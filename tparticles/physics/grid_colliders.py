@@ -46,11 +46,11 @@ class Heightfield(Surface):
 
         try:
             with Image.open(path) as image:
-                grey = np.asarray(image if image.mode.startswith("I") else image.convert("L"), np.float64)
+                deep = image.mode.startswith("I")  # 16 bits
+                grey = np.asarray(image if deep else image.convert("L"), np.float64)
         except (OSError, ValueError) as error:
             raise InputError(f"height picture '{path}' cannot be read: {error}") from None
-        white = 255.0 if grey.max(initial=0) <= 255 else 65535.0
-        heights = bottom + (top - bottom) / white * grey[::-1].T
+        heights = bottom + (top - bottom) / (65535.0 if deep else 255.0) * grey[::-1].T
         return cls(heights=heights, **options)  # type: ignore[arg-type]
 
     def derived(self) -> dict[str, Any]:

@@ -65,6 +65,8 @@ class Mesh:
         for name, (kind, width) in _ROWS.items():
             self._keep(name, kind, (None, width))
         n, m = len(self.x), len(self.springs)
+        if not n:
+            raise InputError("a mesh needs at least one vertex")
         for name, rows in (("spring", self.springs), ("face", self.faces)):
             check_indices(name, rows, n)
         if self.rest is None:

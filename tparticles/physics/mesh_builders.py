@@ -61,7 +61,7 @@ def rope(
 
     `length` is that of the rope at rest [m], by default from end to end; a longer one sags.
     """
-    (count,) = _counts("rope.count", (count,), least=2)
+    (count,) = _counts("rope.count", count, 1)
     a, b = vector("rope.start", start), vector("rope.end", end)
     distance = float(np.linalg.norm(b - a))
     if distance == 0:
@@ -75,7 +75,7 @@ def rope(
 
 def cloth(
     *,
-    counts: tuple[int, int] = (32, 32),
+    counts: int | tuple[int, int] = (32, 32),
     size: float | tuple[float, float] = 1.0,
     mass: float = 0.2,
     stiffness: float = 1000.0,
@@ -89,7 +89,7 @@ def cloth(
     Springs: structural to the neighbours in the row and column, shear along both diagonals, bend to the next but one in
     the row and column (X. Provot, "Deformation constraints in a mass-spring model", Graphics Interface 1995).
     """
-    columns, rows = _counts("cloth.counts", counts, least=2)
+    columns, rows = _counts("cloth.counts", counts, 2)
     x, grid = _grid((columns, rows, 1), (*_size("cloth.size", size, 2), 0.0))
     i = grid[0]
     families = [
@@ -102,7 +102,7 @@ def cloth(
 
 def lattice(
     *,
-    counts: tuple[int, int, int] = (8, 8, 8),
+    counts: int | tuple[int, int, int] = (8, 8, 8),
     size: float | Vec3 = 1.0,
     mass: float = 1.0,
     stiffness: float = 1000.0,
@@ -115,7 +115,7 @@ def lattice(
 
     Springs along the edges and both kinds of diagonals of its cells; `faces` are its surface.
     """
-    shape = _counts("lattice.counts", counts, least=2)
+    shape = _counts("lattice.counts", counts, 3)
     x, grid = _grid(shape, _size("lattice.size", size, 3))
     # half of the 26 directions: the first of (dx, dy, dz) that is not 0 is positive
     steps = [d for d in itertools.product((-1, 0, 1), repeat=3) if d > (0, 0, 0)]
@@ -143,7 +143,7 @@ def sphere_shell(
     It has 10 4^subdivisions + 2 vertices, springs along the edges, bend springs across them, and bracing from each vertex
     to the opposite one, which keeps the ball round.
     """
-    (levels,) = _counts("sphere_shell.subdivisions", (subdivisions,), least=0)
+    (levels,) = _counts("sphere_shell.subdivisions", subdivisions, 1, least=0)
     if levels > 9:
         raise InputError(f"sphere_shell.subdivisions = {levels}: at most 9, which makes 2.6 million vertices")
     x, faces = _icosphere(levels)
@@ -204,10 +204,10 @@ def or_default(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def _counts(name: str, values: tuple[int, ...], *, least: int) -> tuple[int, ...]:
-    array = numbers(name, values, np.int32, (len(values),))
+def _counts(name: str, value: int | tuple[int, ...], width: int, *, least: int = 2) -> tuple[int, ...]:
+    array = numbers(name, value, np.int32, (width,))
     if (array < least).any():
-        raise InputError(f"{name} = {values if len(values) > 1 else values[0]}: at least {least} is needed")
+        raise InputError(f"{name} = {value}: at least {least} is needed")
     return tuple(array.tolist())
 
 

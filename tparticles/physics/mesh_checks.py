@@ -73,8 +73,6 @@ def check_indices(kind: str, rows: np.ndarray, count: int) -> None:
 
 def check(mesh: Any) -> None:
     """Refuse what cannot be moved, naming the first thing that is wrong."""
-    if not len(mesh.x):
-        raise InputError("a mesh needs at least one vertex")
     _check_vertices(mesh)
     _check_pairs(mesh)
     _check_springs(mesh)

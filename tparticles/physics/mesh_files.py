@@ -51,7 +51,9 @@ def read_mesh(
         raise InputError(f"mesh '{path}': it has a vertex that is not finite")
     common = {"mass": mass, "damping": damping, "tear": tear, "shares": _shares(x, cells)}
     if cells.shape[1] == 4:
-        return assembled("read_mesh", x, [(_edges(cells), stiffness)], faces=_boundary(cells), **common)
+        return assembled(
+            "read_mesh", x, [(_edges(cells), stiffness)], faces=_boundary(_right_handed(x, cells)), **common
+        )
     edges, across = triangle_links(cells)
     families = [(edges, stiffness), (across, or_default(bend, stiffness))]
     return assembled("read_mesh", x, families, faces=cells, **common)
@@ -126,8 +128,14 @@ def _edges(cells: np.ndarray) -> np.ndarray:
     return np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
 
 
+def _right_handed(x: Reals, cells: np.ndarray) -> np.ndarray:
+    """Return tetrahedra of positive volume, whichever way the file turns them."""
+    wrong = np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]]) < 0
+    return np.where(wrong[:, None], cells[:, [0, 2, 1, 3]], cells)
+
+
 def _boundary(cells: np.ndarray) -> np.ndarray:
-    """Return the triangles that belong to one tetrahedron only, outward where tetrahedra turn right."""
+    """Return the triangles that belong to one tetrahedron only, outward."""
     faces = cells[:, _CORNERS].reshape(-1, 3)
     _, first, uses = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return faces[np.sort(first[uses == 1])]

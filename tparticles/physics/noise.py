@@ -34,29 +34,22 @@ _POTENTIAL = 1.13  # p e^T
 
 
 @ti.func
-def _corner_hash(i, j, k, seed):
-    h = ti.cast(i, ti.u32) * ti.u32(0x8DA6B343) ^ ti.cast(j, ti.u32) * ti.u32(0xD8163841)
-    h ^= ti.cast(k, ti.u32) * ti.u32(0xCB1AB31F) ^ seed
-    h = (h ^ (h >> 16)) * ti.u32(0x7FEB352D)
-    h = (h ^ (h >> 15)) * ti.u32(0x846CA68B)
-    return h ^ (h >> 16)
+def _gradient(key, whole, rest, turning: ti.template()):
+    """Return the vector of the corner `key`, ten bits of its hash for each component.
 
-
-@ti.func
-def _centred(h):
-    """Map ten hash bits to the centres of 1024 equal cells of (-1, 1)."""
-    return ti.cast(h & 1023, ti.i32) * (1 / 512) - ti.static(1 - 1 / 1024)
-
-
-@ti.func
-def _swing(h, whole, rest):
-    """Return a wave of the phase `whole` + `rest` [1/1024 of its period], ten hash bits ahead.
-
-    With s the distance from the middle of the period, in half periods: 4 s (1 - |s|), the C1 stand-in for sin(pi s).
-    The whole part is added to the bits before they are masked, which wraps the phase for nothing.
+    They stand for the centres of 1024 equal cells of (-1, 1), or, `turning`, for waves of the phase `whole` + `rest` [1/1024 of
+    their period] that are so far ahead: with s the distance from the middle of the period, in half periods, 4 s (1 - |s|), the
+    C1 stand-in for sin(pi s). The whole part is added to the bits before they are masked, which wraps the phase for nothing.
     """
-    s = (ti.cast((h + whole) & 1023, ti.i32) + rest) * (1 / 512) - 1.0
-    return 4.0 * s * (1.0 - ti.abs(s))
+    h = (key ^ (key >> 16)) * ti.u32(0x7FEB352D)
+    h = (h ^ (h >> 15)) * ti.u32(0x846CA68B)
+    h ^= h >> 16
+    a = ti.Vector([h, h >> 10, h >> 20])
+    if ti.static(turning):
+        s = (ti.cast((a + whole) & 1023, ti.i32) + rest) * (1 / 512) - 1.0
+        return 4.0 * s * (1.0 - ti.abs(s))
+    else:
+        return ti.cast(a & 1023, ti.i32) * (1 / 512) - ti.static(1 - 1 / 1024)
 
 
 @ti.func
@@ -74,34 +67,30 @@ def potential(p, seed, phase, turning: ti.template(), with_value: ti.template())
     levels = 512.0 * (phase - 2.0 * ti.floor(0.5 * phase))
     rest = levels - ti.floor(levels)
     whole = ti.cast(ti.cast(levels, ti.i32), ti.u32)
-    ux = uy = uz = 0.0
-    px = py = pz = 0.0
-    for side in ti.static(range(4)):
-        ox, oy = ti.static(side & 1, side >> 1)
-        dx, dy = r[0] - ox, r[1] - oy
-        wx, gx = ox * u[0] + (1 - ox) * (1 - u[0]), (2 * ox - 1) * du[0]
-        wy, gy = oy * u[1] + (1 - oy) * (1 - u[1]), (2 * oy - 1) * du[1]
+    # at the lower and the upper corners: weight, its derivative, distance, and what the hash takes of the coordinate
+    weight, slope, offset = [1.0 - u, u], [-du, du], [r, r - 1.0]
+    primes = ti.Vector([ti.u32(0x8DA6B343), ti.u32(0xD8163841), ti.u32(0xCB1AB31F)], ti.u32)
+    lower = ti.cast(c, ti.u32) * primes
+    key = [lower, lower + primes]
+    psi, curl = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+    for ox, oy in ti.static(((0, 0), (1, 0), (0, 1), (1, 1))):
+        dx, wx, gx = offset[ox][0], weight[ox][0], slope[ox][0]
+        dy, wy, gy = offset[oy][1], weight[oy][1], slope[oy][1]
         # what the two corners of an edge along z share
         w2, gx2, gy2 = wx * wy, gx * wy, wx * gy
         s2 = gx2 * dx + gy2 * dy + 2.0 * w2
+        edge = key[ox][0] ^ key[oy][1]
         for oz in ti.static(range(2)):
-            h = _corner_hash(c[0] + ox, c[1] + oy, c[2] + oz, seed)
-            a0, a1, a2 = _centred(h), _centred(h >> 10), _centred(h >> 20)
-            if ti.static(turning):
-                a0, a1, a2 = _swing(h, whole, rest), _swing(h >> 10, whole, rest), _swing(h >> 20, whole, rest)
-            dz, wz, gz = r[2] - oz, oz * u[2] + (1 - oz) * (1 - u[2]), (2 * oz - 1) * du[2]
+            a = _gradient(edge ^ (key[oz][2] ^ seed), whole, rest, turning)
+            d = ti.Vector([dx, dy, offset[oz][2]])
+            wz, gz = weight[oz][2], slope[oz][2]
             # curl(w a x d) = grad w x (a x d) + 2 w a = a (grad w . d + 2 w) - d (grad w . a), d from the corner
-            along = s2 * wz + w2 * gz * dz
-            across = (gx2 * a0 + gy2 * a1) * wz + w2 * gz * a2
-            ux += a0 * along - dx * across
-            uy += a1 * along - dy * across
-            uz += a2 * along - dz * across
+            along = s2 * wz + w2 * gz * d[2]
+            across = (gx2 * a[0] + gy2 * a[1]) * wz + w2 * gz * a[2]
+            curl += a * along - d * across
             if ti.static(with_value):
-                w = w2 * wz
-                px += w * (a1 * dz - a2 * dy)
-                py += w * (a2 * dx - a0 * dz)
-                pz += w * (a0 * dy - a1 * dx)
-    return ti.Vector([px, py, pz]), ti.Vector([ux, uy, uz])
+                psi += (w2 * wz) * (a.yzx * d.zxy - a.zxy * d.yzx)  # a x d
+    return psi, curl
 
 
 @spec

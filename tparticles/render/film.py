@@ -138,14 +138,15 @@ class Film:
         self._lit, self._dark = image is not None, (None, None)
         if image is None:
             return
-        pixels = np.ascontiguousarray(image, dtype=np.float32)
         shape = (self.height, self.width, 3)
-        if pixels.shape != shape or not np.isfinite(pixels).all():
-            raise InputError(f"a background of shape {pixels.shape} must be finite and of the film's shape, {shape}")
+        rows, side = np.zeros((self.height, self.stride), np.float32), 3 * splat.PAD
+        if np.shape(image) == shape:
+            rows[:, side:-side].reshape(shape)[...] = image
+        if np.shape(image) != shape or not np.isfinite(rows).all():
+            raise InputError(f"a background of shape {np.shape(image)} must be finite and of the film's shape, {shape}")
         if self._background is None:
-            self._background = ti.field(ti.f32, shape=self.stride * self.height)
-        side = 3 * splat.PAD
-        self._background.from_numpy(np.pad(pixels.reshape(self.height, -1), ((0, 0), (side, side))).ravel())
+            self._background = ti.field(ti.f32, shape=rows.size)
+        self._background.from_numpy(rows.ravel())
 
     def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (height, width, 3), a new array.

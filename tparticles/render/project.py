@@ -21,10 +21,10 @@ NEAR = 1e-3  # [m]; nothing nearer to the pin-hole is drawn
 def place(c: ti.template(), x):
     """Return (depth [m], u [px], v [px]) of a point seen by the camera row `c`; v grows downward."""
     d = x - ti.Vector([c[0], c[1], c[2]])
-    depth = d.dot(ti.Vector([c[9], c[10], c[11]]))
+    depth = d[0] * c[9] + d[1] * c[10] + d[2] * c[11]
     scale = c[12] / ti.max(depth, NEAR)
-    u = c[13] + scale * d.dot(ti.Vector([c[3], c[4], c[5]]))
-    v = c[14] - scale * d.dot(ti.Vector([c[6], c[7], c[8]]))
+    u = c[13] + scale * (d[0] * c[3] + d[1] * c[4] + d[2] * c[5])
+    v = c[14] - scale * (d[0] * c[6] + d[1] * c[7] + d[2] * c[8])
     return ti.max(depth, NEAR * 0.5), u, v
 
 

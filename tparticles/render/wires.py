@@ -1,6 +1,6 @@
 """What a spring mesh looks like: springs as lines of light, vertices as dots."""
 
-# pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportOptionalCall=false
 
 import math
 from typing import Annotated, Any, Literal
@@ -59,7 +59,8 @@ class Wires:
 class WireProjector:
     """Fills `Dots` with the lines and dots of a mesh.
 
-    `view` reads it: `position(i)`, `velocity(i)` of a vertex, `ends(j)`, `strain(j)`, `whole(j)` of a spring, and how many there are.
+    `view` reads it: `position(i)`, `velocity(i)` of a vertex, `ends(j)`, `strain(j)`, `whole(j)` of a spring,
+    `vertex_count` and `spring_count`.
     """
 
     def __init__(self, view: Any, wires: Wires, look: Look):

@@ -7,10 +7,12 @@ is pushed back by just the normal force that it presses with, which does no work
 """
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportOptionalSubscript=false
 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 from .. import backend
@@ -34,7 +36,9 @@ class Contact:
     def __init__(self, system: SpringMesh, colliders: Sequence[Any], *, radius: float):
         self.system, self.radius = system, radius
         bind = system.parameters.bind
-        pairs = [(bind(collider), bind(Surface.of(collider))) for collider in colliders]
+        # a room is six walls: who rests on its floor must still meet the others
+        walls = [wall for collider in colliders for wall in getattr(collider, "walls", (collider,))]
+        pairs = [(bind(wall), bind(Surface.of(wall))) for wall in walls]
         # (number, shape, surface); the number is what `touching` holds
         self.colliders = [(n, *pair) for n, pair in enumerate(pairs, start=1)]
         self.any = bool(colliders)
@@ -118,7 +122,7 @@ class Contact:
                 if self.touching[i] != n and self._distance(shape, y) < ti.static(self.slack):
                     normal = shape.normal(y)
                     vn = (v - surface.velocity).dot(normal)
-                    if vn < 0.0:
+                    if vn <= 0.0:
                         done = 1
                         bounce = surface.restitution
                         if -vn * bounce < slow:
@@ -182,6 +186,44 @@ class Contact:
             if bounces > 0:
                 self.settle(i, t + h)
         return done
+
+    @ti.kernel
+    def _nearest(
+        self, x: ti.types.ndarray(ndim=2), t: float, found: ti.types.ndarray(ndim=2), values: ti.types.ndarray(ndim=1)
+    ):
+        ti.static(self.system.parameters.read_from(values))
+        for i in range(self.system.count):
+            at = ti.Vector([x[i, d] for d in ti.static(range(3))])
+            found[i, 0] = ti.math.inf
+            for _n, shape, surface in ti.static(self.colliders):
+                y = at - t * surface.velocity
+                distance = self._distance(shape, y)
+                if distance < found[i, 0]:
+                    normal = shape.normal(y)
+                    found[i, 0], found[i, 1] = distance, surface.friction
+                    for d in ti.static(range(3)):
+                        found[i, 2 + d], found[i, 5 + d] = normal[d], surface.velocity[d]
+
+    def nearest(self, x: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return of the nearest collider of each of the points `x` [m], (n, 3): distance, friction, normal, velocity."""
+        kind = self.system.parameters.array.dtype
+        found = np.zeros((self.system.count, 8), kind)
+        self._nearest(np.ascontiguousarray(x, kind), t, found, self.system.parameters.array)
+        return found[:, 0], found[:, 1], found[:, 2:5], found[:, 5:]
+
+    def stopped(self, x: np.ndarray, v: np.ndarray, t: float, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return which points at `x` [m], (n, 3), are inside a collider, and velocities [m/s] that stop them at its surface.
+
+        A step `h` [s] with an implicit stage has led to `x` with `v`. It was too long for a bounce to be told from a rest: the
+        normal velocity becomes the one that would have led to the surface, and the friction is that of the impulse this takes.
+        """
+        distance, friction, normal, carried = self.nearest(x, t)
+        inside = (distance < -self.slack) & (self.system.inverse_mass.to_numpy()[: len(x)] > 0)
+        push = np.where(inside, -distance / h, 0.0)[:, None]
+        relative = v - carried
+        across = relative - np.sum(relative * normal, axis=1, keepdims=True) * normal
+        speed = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+        return inside, v + push * normal - across * np.minimum(friction[:, None] * push / speed, 1.0)
 
     @ti.func
     def press(self, b: ti.template(), block, t, h):

@@ -25,12 +25,11 @@ from ..systems.terms import FLOW_REGISTER, first_writers, heat
 from .block import Block
 from .control import Tolerance
 from .newton import Newton
-from .pace import NOBODY, Pace
+from .pace import LONGEST, NOBODY, Pace
 from .table import Table
 
 _COMBINE, _EVALUATE, _KICK, _DRIFT, _SOLVE, _ROTATE, _DIFFERENCE = range(7)
 _RUNS = 4096  # in which a large group's blocks are counted
-_LONG = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
 
 
 @dataclass(frozen=True)
@@ -97,6 +96,7 @@ class FusedStepper:
         if self.table.implicit:
             self.layout |= self.newton.vectors()
         self.width = sum(self.layout.values())
+        self.serial = backend.current().in_one_thread(columns.padded)
 
     def advance(self, count: int, t0: float, t1: float, dt: float, *, camera: np.ndarray | None = None) -> StepReport:
         """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`.
@@ -152,14 +152,15 @@ class FusedStepper:
         values: ti.types.ndarray(ndim=1),
     ) -> ti.types.vector(5, ti.i64):
         ti.static(self.parameters.read_from(values))
-        steps, rejected, low, high, stuck = ti.cast(0, ti.i64), ti.cast(0, ti.i64), _LONG, 0, NOBODY
+        steps, rejected, low, high, stuck = ti.cast(0, ti.i64), ti.cast(0, ti.i64), LONGEST, 0, NOBODY
         blocks = (count + self.lanes - 1) // self.lanes
         # The counts are shared: blocks go in runs, so that threads rarely meet there, but in enough runs for many threads.
         run = ti.max(blocks // _RUNS, 1)
+        ti.loop_config(serialize=ti.static(self.serial))
         for r in range((blocks + run - 1) // run):
             scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
             ti.static(self.parameters.hoist(scalars))
-            taken, missed, shortest, longest = 0, 0, ti.cast(ti.math.inf, float), ti.cast(0.0, float)
+            taken, missed, shortest, longest = 0, 0, LONGEST, 0
             for block in range(r * run, ti.min(blocks, (r + 1) * run)):
                 n, no, low_, high_, slot = self._advance_block(
                     block, count, t0, t1, dt, size, ops, edges, coefficients, target
@@ -174,8 +175,8 @@ class FusedStepper:
             if ti.static(self.pace.chooses):
                 ti.atomic_add(rejected, ti.cast(missed, ti.i64))
             if taken > 0:
-                ti.atomic_min(low, ti.bit_cast(ti.cast(shortest, ti.f32), ti.i32))
-                ti.atomic_max(high, ti.bit_cast(ti.cast(longest, ti.f32), ti.i32))
+                ti.atomic_min(low, shortest)
+                ti.atomic_max(high, longest)
         return ti.Vector([steps, rejected, ti.cast(low, ti.i64), ti.cast(high, ti.i64), ti.cast(stuck, ti.i64)])
 
     @ti.func
@@ -198,26 +199,24 @@ class FusedStepper:
         b = ti.static([Block(self.layout, vectors, slopes, self.lanes)])[0]
         span, start = ti.cast(t1 - t0, float), ti.cast(t0, float)
         self._load(b, block, count, t0, t1, dt, size)
-        longest = ti.cast(0.0, float)
-        for lane in range(lanes):
-            longest = ti.max(longest, b.left[lane])
+        busy = self.pace.busy(b)
         fresh, probing, stuck = 0, ti.cast(ti.static(1 if self.probes else 0), ti.i32), NOBODY
-        while longest > 0.0 or probing > 0:
+        while busy + probing > 0:
             first, last, starting = edges[0] + fresh, edges[1], 0
-            if longest <= 0.0:
+            if busy == 0:
                 first, last, probing = edges[4], edges[4] + 1, 0
             elif ti.static(not self.pace.counted):
                 starting = self.pace.choose(b, dt, span)
                 if starting > 0:
                     first, last = edges[1] + fresh, edges[2]
             self._walk(b, first, last, ops, coefficients, span, start)
-            if longest > 0.0:
+            if busy > 0:
                 if ti.static(not self.pace.counted):
                     stuck = ti.min(stuck, self.pace.judge(b, block, coefficients, target, dt, span))
                 if ti.static(self.table.shifts):
                     for op in range(edges[2 + starting], edges[3 + starting]):
                         self._shift(b, op, ops)
-                longest = self.pace.commit(b)
+                busy = self.pace.commit(b)
                 fresh = ti.static(self.reuses)
         self._store(b, block)
         return self.pace.totals(b, stuck)

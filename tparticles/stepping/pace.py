@@ -16,6 +16,7 @@ from .control import CLAMPS, LARGEST_FACTOR, Tolerance, step_factor
 from .table import Table
 
 NOBODY = 0x7FFFFFFF
+LONGEST = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
 _NO_NUMBER = 1e12  # the error where the estimate is none
 _GROWTH = 2.4  # BDF2 is zero-stable for step ratios below 1 + sqrt 2 (Hairer, Norsett, Wanner I, III.5)
 
@@ -228,11 +229,12 @@ class Pace:
 
     @ti.func
     def commit(self, b: ti.template()):
-        """z0 = z where the step is accepted, z = z0 where not; return the longest time that is left.
+        """z0 = z where the step is accepted, z = z0 where not; return 1 if a lane has time left, else 0.
 
-        A lane without a step keeps its state to the bit, even where 0 * k is NaN.
+        A lane without a step keeps its state to the bit, even where 0 * k is NaN. Who has time left is asked with integers, as
+        in `totals`: no loop that looks for the largest float is vectorised.
         """
-        longest = ti.cast(0.0, float)
+        busy = 0
         for lane in range(b.lanes):
             accepted = self.accepted(b, lane)
             for d in ti.static(range(self.components)):
@@ -248,13 +250,26 @@ class Pace:
                 b.last[lane] = ti.select(accepted, b.h[lane], b.last[lane])
                 filled = ti.min(b.filled[lane] + 1.0, ti.static(float(self.steps_back)))
                 b.filled[lane] = ti.select(accepted, filled, b.filled[lane])
-            longest = ti.max(longest, b.left[lane])
-        return longest
+            busy |= ti.select(b.left[lane] > 0.0, 1, 0)
+        return busy
+
+    @ti.func
+    def busy(self, b: ti.template()):
+        """Return 1 if a lane has time left, else 0."""
+        busy = 0
+        for lane in range(b.lanes):
+            busy |= ti.select(b.left[lane] > 0.0, 1, 0)
+        return busy
 
     @ti.func
     def totals(self, b: ti.template(), stuck):
-        """Return steps, rejected tries, the smallest and the largest step of the block, and `stuck`."""
+        """Return steps, rejected tries, the bits of the smallest and of the largest step of the block as f32, and `stuck`."""
         missed = 0
         if ti.static(self.chooses):
             missed = ti.cast(b.missed.sum(), ti.i32)
-        return ti.cast(b.taken.sum(), ti.i32), missed, b.shortest.min(), b.longest.max(), stuck
+        low, high, taken = LONGEST, 0, 0
+        for lane in range(b.lanes):
+            taken += ti.cast(b.taken[lane], ti.i32)
+            low = ti.min(low, ti.bit_cast(ti.cast(b.shortest[lane], ti.f32), ti.i32))
+            high = ti.max(high, ti.bit_cast(ti.cast(b.longest[lane], ti.f32), ti.i32))
+        return taken, missed, low, high, stuck

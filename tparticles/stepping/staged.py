@@ -9,36 +9,39 @@ A mesh is one system: a contact, or a step of another size, makes the past worth
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from .. import backend
 from ..errors import RunError
-from ..schemes import OpKind, Scheme
+from ..schemes import Scheme
 from ..systems.spring_mesh import SpringMesh
-from .block import Block
 from .contact import Contact
 from .control import CLAMPS
 from .fused import StepReport
+from .mesh_solver import MeshSolver
+from .recorder import UNRECORDED, Recorder
+from .stages import EVALUATE, SOLVE, Stages
 from .table import Table
 
-# Ops by number: inside a kernel an enum member is no number.
-_COMBINE, _EVALUATE, _KICK, _DRIFT = (int(k) for k in (OpKind.COMBINE, OpKind.EVALUATE, OpKind.KICK, OpKind.DRIFT))
-_ROTATE, _DIFFERENCE, _SOLVE = int(OpKind.ROTATE), int(OpKind.DIFFERENCE), int(OpKind.SOLVE)
-
 _SERIAL = 20_000  # vertices: below it one thread is faster than a launch for every op
-_EXACT = 512  # vertices: up to here the whole mesh goes back to the moment of a contact
 _LAUNCH = 20_000_000  # vertex-steps in a serial launch, about a second: Ctrl-C waits for it
-_EVENTS = 32  # contacts in a step before they are resolved vertex by vertex
+_CONTACT_ROUNDS = 3  # of a solution with more and more vertices held on the surfaces they would have entered
+_PICTURE = 0.1  # tolerance of an implicit stage in f32, as a part of a spring: below a pixel, where a spring is some pixels long
+_HALVINGS = 10  # of a step that has no solution
+
+
+class _NoSolutionError(Exception):
+    """An implicit stage has none, or Newton's method does not find it."""
+
 
 Drive = Callable[[float], np.ndarray]
 
 
-@ti.data_oriented
 class StagedStepper:
     """Advances a mesh by a scheme.
 
@@ -49,7 +52,7 @@ class StagedStepper:
         contact: its colliders.
         driven: vertices that follow a path, int (d,); `drive(t)` gives their positions, (d, 3) [m].
         velocity_free: whether no force depends on v.
-        solver: solves implicit stages: `solve(x, v, h, linear=..., t=...)`, see `mesh_solver`.
+        recorder: records the steps, once it has a sink.
     """
 
     def __init__(
@@ -62,23 +65,36 @@ class StagedStepper:
         driven: np.ndarray,
         drive: Drive,
         velocity_free: bool,
-        solver: Any = None,
+        recorder: Recorder | None = None,
     ):
-        self.system, self.contact, self.solver = system, contact, solver
+        self.system, self.contact = system, contact
         self.clamp = CLAMPS[clamp]
         self.driven, self.drive = np.asarray(driven, np.int32), drive
         self.drives = len(driven) > 0
         self.table = Table.of(scheme)
-        self.registers = scheme.registers
         self.steps_back = scheme.steps_back
         self.reuses = int(self.table.reuses(velocity_free=velocity_free and not system.damped))
+        self.recorder = recorder
+        self.stages = Stages(system, self.table, contact, reuses=self.reuses, drives=self.drives, recorder=recorder)
+        self.coefficients = self.stages.coefficients
         self.serial = backend.current().is_cpu and system.count <= _SERIAL and not self.table.implicit
-        self.exact = contact.any and system.count <= _EXACT and not self.table.implicit
-        kind = np.float64 if backend.current().precision == "f64" else np.float32
-        self.coefficients = self.table.coefficients.astype(kind)
-        self.layout = {"z": 6, "a": 3, "u": 3}
-        self.held, self.fresh, self.last_h = 0, 0, 0.0
-        self.contacts = 0  # bounces so far
+        self.held, self.fresh, self.last_h, self.began = 0, 0, 0.0, 0.0
+        self.contacts, self.rejected = 0, 0  # bounces and halved steps so far
+        self.iterations = np.zeros(2, np.int64)  # of Newton's method and of its linear systems, so far
+        self.solver = self._make_solver() if self.table.implicit else None
+
+    def _make_solver(self) -> MeshSolver:
+        mesh, whole = self.system.mesh, self.system.whole()
+        self._whole = whole
+        return MeshSolver(
+            mesh.springs[whole],
+            mesh.stiffness[whole],
+            mesh.damping[whole],
+            mesh.rest[whole],
+            mesh.mass,
+            mesh.pinned,
+            tolerance=_PICTURE if self.coefficients.dtype == np.float32 else None,
+        )
 
     def forget(self) -> None:
         """Throw away the past: something else than a step changed the state."""
@@ -86,35 +102,41 @@ class StagedStepper:
 
     def past(self) -> dict[str, Any]:
         """Return what the next step depends on beside the state."""
-        return {"held": self.held, "fresh": self.fresh, "last_h": self.last_h, "contacts": self.contacts}
+        past = {"held": self.held, "fresh": self.fresh, "last_h": self.last_h, "contacts": self.contacts}
+        if self.solver and self.solver.tension is not None:
+            past["tension"] = self.solver.tension
+        return past
 
-    def set_past(self, past: dict[str, Any]) -> None:
+    def set_past(self, past: Mapping[str, Any]) -> None:
         """Go on from what `past` returned."""
         self.held, self.fresh, self.contacts = (int(past[name]) for name in ("held", "fresh", "contacts"))
         self.last_h = float(past["last_h"])
+        if self.table.implicit:
+            self.solver = self._make_solver()
+            self.solver.tension = np.array(past["tension"]) if "tension" in past else None
 
-    def advance(self, t0: float, t1: float, dt: float, *, on_step: Callable[[float], None] | None = None) -> StepReport:
-        """Advance from `t0` to `t1` [s] in steps <= `dt`; `on_step(t)` is called after each one.
+    def advance(self, t0: float, t1: float, dt: float) -> StepReport:
+        """Advance from `t0` to `t1` [s] in steps <= `dt`.
 
         Raises:
             RunError: an implicit stage has no solution, not even with the smallest step.
         """
-        report = StepReport()
+        report, rejected = StepReport(), self.rejected
         t = t0
         for h, count in self._runs(t1 - t0, dt):
             if abs(h - self.last_h) > 1e-4 * h:
                 self.held = 0
             self.last_h = h
-            batch = 1 if on_step else max(1, _LAUNCH // max(1, self.system.count * len(self.table.ops)))
-            for first in range(0, count, batch):
-                n = min(batch, count - first)
+            batch = max(1, _LAUNCH // max(1, self.system.count * len(self.table.ops)))
+            first = 0
+            while first < count:
+                n = min(batch, count - first, self.recorder.room if self.recorder else count)
                 self._steps(t + first * h, h, n)
-                if on_step:
-                    on_step(t + (first + n) * h)
+                first += n
             t += h * count
             low = min(report.dt_min, h) if report.steps else h
             report = StepReport(report.steps + count, 0, low, max(report.dt_max, h))
-        return report
+        return dataclasses.replace(report, rejected=self.rejected - rejected)
 
     def _runs(self, span: float, dt: float) -> Iterator[tuple[float, int]]:
         """Yield (step, how many of it) until the span is over."""
@@ -126,16 +148,77 @@ class StagedStepper:
             left = left - n * h
 
     def _steps(self, t: float, h: float, count: int) -> None:
-        values, paths = self.system.parameters.array, self._paths(t, h, count)
+        values = self.system.parameters.array
+        paths = self._paths(t, h, 1 if self.table.implicit else count)
         if self.serial:
-            result = self._run(
-                t, h, count, self.held, self.fresh, self.table.ops, self.table.edges, self.coefficients, self.driven, paths, values
+            claimed = self.recorder.claim() if self.recorder else UNRECORDED
+            result = self.stages.run(
+                t,
+                h,
+                count,
+                self.held,
+                self.fresh,
+                self.table.ops,
+                self.table.edges,
+                self.coefficients,
+                self.driven,
+                paths,
+                values,
+                *claimed,
             )
             self.held, self.fresh, bounces = (int(v) for v in result)
             self.contacts += bounces
+            if self.recorder:
+                self.recorder.took(t, h, count)
             return
         for n in range(count):
-            self._one_step(t + n * h, h, paths[n : n + 2])
+            self.began = t + n * h
+            if self.recorder and not self.recorder.due:
+                self._record(self.began, h, paths[n : n + 2])
+            if self.table.implicit:
+                self._halved(self.began, h, _HALVINGS)
+            else:
+                self._one_step(self.began, h, paths[n : n + 2])
+            if self.recorder:
+                self.recorder.took(self.began, h, 1)
+
+    def _record(self, t: float, h: float, paths: np.ndarray) -> None:
+        """Record the state at the beginning of a step of `h` from `t` [s], with its slope."""
+        assert self.recorder
+        if self.drives:
+            self.stages.aim(h, self.driven, paths)
+        slot = self.table.probe
+        if slot < 0:
+            slot = int(self.table.ops[self.table.edges[int(self.held < self.steps_back)], 1])
+        if self.table.probe >= 0 or not self.fresh:
+            self.stages.evaluate(slot, t, h, self.system.parameters.array)
+            self.fresh = int(self.table.probe < 0)
+        self.recorder.record(slot)
+
+    def end_record(self, t: float) -> None:
+        """Record the state that the last step has led to, at `t` [s], and give the record away."""
+        assert self.recorder
+        if self.recorder.step:
+            slot = self.table.scheme.registers
+            self.stages.evaluate(slot, t, self.last_h, self.system.parameters.array)
+            self.recorder.end(t, slot)
+        self.recorder.hand_over()
+
+    def _halved(self, t: float, h: float, halvings: int) -> None:
+        """Take a step with an implicit stage, in two where it has no solution, and so on."""
+        try:
+            self._one_step(t, h, self._paths(t, h, 1))
+        except _NoSolutionError:
+            if halvings == 0:
+                raise RunError(
+                    f"no solution of an implicit stage of '{self.table.scheme.name}', not even with steps of {h:.3g} s"
+                ) from None
+            self.rejected += 1
+            self.stages.back()
+            for half in (t, t + h / 2):
+                self.forget()
+                self._halved(half, h / 2, halvings - 1)
+            self.forget()
 
     def _paths(self, t: float, h: float, count: int) -> np.ndarray:
         """Return where driven vertices are at the ends of the steps, (count + 1, d, 3)."""
@@ -144,293 +227,76 @@ class StagedStepper:
             return np.zeros((2, 1, 3), kind)
         return np.stack([self.drive(t + n * h) for n in range(count + 1)]).astype(kind)
 
-    # One launch for many steps.
-
-    @ti.kernel
-    def _run(
-        self,
-        t0: ti.f64,
-        dt: float,
-        count: ti.i32,
-        held0: ti.i32,
-        fresh0: ti.i32,
-        ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
-        edges: ti.types.ndarray(dtype=ti.i32, ndim=1),
-        coefficients: ti.types.ndarray(ndim=2),
-        driven: ti.types.ndarray(dtype=ti.i32, ndim=1),
-        paths: ti.types.ndarray(ndim=3),
-        values: ti.types.ndarray(ndim=1),
-    ) -> ti.types.vector(3, ti.i32):
-        ti.static(self.system.parameters.read_from(values))
-        held, fresh, bounces = held0, fresh0, 0
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            for step in range(count):
-                left, events = dt, 0
-                if ti.static(self.drives):
-                    self._aim(step, dt, driven, paths)
-                while left > 0.0:
-                    t = ti.cast(t0 + step * ti.cast(dt, ti.f64), float) + (dt - left)
-                    starting = ti.select(held < self.steps_back, 1, 0)
-                    self._program(starting, fresh, t, left, dt, ops, edges, coefficients)
-                    reached, hit = left, ti.cast(2.0, float)
-                    if ti.static(self.exact):
-                        if events < _EVENTS:
-                            for i in range(self.system.count):
-                                hit = ti.min(hit, self.contact.entry(i, t, left))
-                        if hit < 1.0:
-                            # Go back, and step to the moment of the first contact.
-                            reached = hit * left
-                            for i in range(self.system.padded):
-                                for d in ti.static(range(6)):
-                                    self.system.z[d][i] = self.system.z0[d][i]
-                            if reached > 0.0:
-                                self._program(ti.select(ti.static(self.steps_back > 0), 1, 0), 0, t, reached, dt, ops, edges, coefficients)
-                            left -= reached
-                            events += 1
-                    met = self._finish_all(t, reached, dt, hit < 1.0)
-                    bounces += met
-                    if ti.static(self.table.shifts):
-                        self._shift_all(starting, ops, edges, reached)
-                    kept = (met == 0) & (hit >= 1.0)
-                    held = ti.select(kept, ti.min(held + 1, self.steps_back), 0)
-                    fresh = ti.select(kept, self.reuses, 0)
-                    if hit >= 1.0:
-                        left = 0.0
-                if ti.static(self.drives):
-                    self._place(step + 1, driven, paths)
-        return ti.Vector([held, fresh, bounces])
-
-    @ti.func
-    def _program(self, starting, fresh, t, h, dt, ops: ti.template(), edges: ti.template(), coefficients: ti.template()):
-        """Run the scheme's program, or its starter's, on all blocks, and remember the state it began with."""
-        for block in range(self.system.blocks):
-            self._begin(block)
-        first, last = edges[0] + fresh, edges[1]
-        if starting > 0:
-            first, last = edges[1] + fresh, edges[2]
-        for op in range(first, last):
-            if ops[op, 0] == _EVALUATE:
-                for block in range(self.system.blocks):
-                    self._evaluate(block, ops[op, 1], t + coefficients[op, 0] * h, h)
-            else:
-                for block in range(self.system.blocks):
-                    self._move(block, op, h, ops, coefficients)
-
-    @ti.func
-    def _finish_all(self, t, h, dt, at_contact):
-        """What ends a step: contacts and tears. Return how many vertices bounced."""
-        met = 0
-        if ti.static(self.contact.any):
-            for i in range(self.system.count):
-                met += self._touch(i, t, h, dt, at_contact)
-        if ti.static(self.system.tears):
-            for block in range(self.system.blocks):
-                self.system.tear(block)
-        return met
-
-    @ti.func
-    def _touch(self, i, t, h, dt, at_contact):
-        met = 0
-        if ti.static(self.exact):
-            if at_contact:
-                self.contact.settle(i, t + h)
-                # a bounce that ends within a step is none
-                met = self.contact.impulse(i, t + h, self._slow(i, dt))
-            else:
-                met = self.contact.resolve(i, t, h)
-        else:
-            met = self.contact.resolve(i, t, h)
-        return met
-
-    @ti.func
-    def _slow(self, i, dt):
-        """Return the speed [m/s] that the present acceleration takes away in half a step."""
-        first = ti.Vector([self.system.k[3 + d][i] for d in ti.static(range(3))])
-        return 0.5 * dt * first.norm()
-
-    @ti.func
-    def _shift_all(self, starting, ops: ti.template(), edges: ti.template(), h):
-        for op in range(edges[2 + starting], edges[3 + starting]):
-            for block in range(self.system.blocks):
-                self._move(block, op, h, ops, ops)
-
-    @ti.func
-    def _aim(self, step, h, driven: ti.template(), paths: ti.template()):
-        """Give driven vertices the velocity that takes them along their path."""
-        for n in range(driven.shape[0]):
-            for d in ti.static(range(3)):
-                self.system.z[3 + d][driven[n]] = (paths[step + 1, n, d] - self.system.z[d][driven[n]]) / h
-
-    @ti.func
-    def _place(self, step, driven: ti.template(), paths: ti.template()):
-        for n in range(driven.shape[0]):
-            for d in ti.static(range(3)):
-                self.system.z[d][driven[n]] = paths[step, n, d]
-
-    # What one block of vertices does.
-
-    @ti.func
-    def _begin(self, block):
-        for lane in range(self.system.lanes):
-            i = block * self.system.lanes + lane
-            for d in ti.static(range(6)):
-                self.system.z0[d][i] = self.system.z[d][i]
-
-    @ti.func
-    def _evaluate(self, block, slot, t, h):
-        """k_s = f(t, z) = (v, a)."""
-        lanes = ti.static(self.system.lanes)
-        vectors = [ti.Vector([0.0] * lanes) for _ in range(ti.static(sum(self.layout.values())))]
-        b = ti.static([Block(self.layout, vectors, [], self.system.lanes)])[0]
-        self.system.gather(b, block, t)
-        if ti.static(self.contact.any):
-            self.contact.press(b, block, t, h)
-        for lane in range(lanes):
-            i = slot * self.system.padded + block * lanes + lane
-            for d in ti.static(range(3)):
-                self.system.k[d][i] = b.z[3 + d][lane]
-                self.system.k[3 + d][i] = b.a[d][lane]
-
-    @ti.func
-    def _move(self, block, op, h, ops: ti.template(), coefficients: ti.template()):
-        """Run an op that looks at nothing but a vertex itself."""
-        kind = ops[op, 0]
-        for lane in range(self.system.lanes):
-            i = block * self.system.lanes + lane
-            if kind == _COMBINE:
-                for d in ti.static(range(6)):
-                    self.system.z[d][i] = self.system.z0[d][i] + h * self._weighted(d, i, op, coefficients)
-            if ti.static(_KICK in self.table.kinds):
-                if kind == _KICK:
-                    for d in ti.static(range(3, 6)):
-                        self.system.z[d][i] += h * self._weighted(d, i, op, coefficients)
-            if ti.static(_DRIFT in self.table.kinds):
-                if kind == _DRIFT:
-                    for d in ti.static(range(3)):
-                        self.system.z[d][i] += h * coefficients[op, 1] * self.system.z[3 + d][i]
-            if ti.static(_ROTATE in self.table.kinds):
-                if kind == _ROTATE:
-                    for d in ti.static(range(6)):
-                        self.system.k[d][ops[op, 1] * self.system.padded + i] = self.system.k[d][ops[op, 2] * self.system.padded + i]
-            if ti.static(_DIFFERENCE in self.table.kinds):
-                if kind == _DIFFERENCE:
-                    for d in ti.static(range(6)):
-                        self.system.k[d][ops[op, 1] * self.system.padded + i] = (self.system.z[d][i] - self.system.z0[d][i]) / h
-
-    @ti.func
-    def _weighted(self, d: ti.template(), i, op, coefficients: ti.template()):
-        """Return sum_j w_j k_j."""
-        total = ti.cast(0.0, float)
-        for j in range(ti.static(self.registers)):
-            w = coefficients[op, 1 + j]
-            if w != 0.0:
-                total += w * self.system.k[d][j * self.system.padded + i]
-        return total
-
-    # A launch for every evaluation, and one for what follows it.
-
     def _one_step(self, t: float, h: float, paths: np.ndarray) -> None:
         table = self.table
         starting = int(self.held < self.steps_back)
         first, last = int(table.edges[starting]), int(table.edges[starting + 1])
         arguments = (table.ops, self.coefficients, self.system.parameters.array)
         if self.drives:
-            self._aim_parallel(h, self.driven, paths)
+            self.stages.aim(h, self.driven, paths)
         begin = 1
         op = first + self.fresh
         while op < last or begin:
             end = op
-            while end < last and table.ops[end, 0] not in (_EVALUATE, _SOLVE):
+            while end < last and table.ops[end, 0] not in (EVALUATE, SOLVE):
                 end += 1
             if end > op or begin:
-                self._sweep(begin, op, end, h, *arguments)
+                self.stages.sweep(begin, op, end, h, *arguments)
                 begin = 0
             if end < last:
-                if table.ops[end, 0] == _EVALUATE:
-                    self._evaluate_parallel(
-                        int(table.ops[end, 1]), t + float(table.coefficients[end, 0]) * h, h, self.system.parameters.array
+                if table.ops[end, 0] == EVALUATE:
+                    self.stages.evaluate(
+                        int(table.ops[end, 1]),
+                        t + float(table.coefficients[end, 0]) * h,
+                        h,
+                        self.system.parameters.array,
                     )
                 else:
                     self._solve(end, t, h)
             op = end + 1
-        met = self._finish_parallel(t, h, self.system.parameters.array) if self.contact.any or self.system.tears else 0
+        met = 0
+        if self.contact.any or self.system.tears:
+            met_at = self.recorder.met_at if self.recorder else UNRECORDED[4]
+            met = self.stages.finish(t, h, self.system.parameters.array, t + h - self.began, met_at)
         if table.shifts:
-            self._sweep(0, int(table.edges[2 + starting]), int(table.edges[3 + starting]), h, *arguments)
+            self.stages.sweep(0, int(table.edges[2 + starting]), int(table.edges[3 + starting]), h, *arguments)
         self.held, self.fresh = min(self.held + 1, self.steps_back), self.reuses
         if met:
             self.contacts += met
             self.forget()
+        if self.solver and self.system.tears and not np.array_equal(self.system.whole(), self._whole):
+            self.solver = self._make_solver()
         if self.drives:
-            self._place_parallel(self.driven, paths)
-
-    @ti.kernel
-    def _sweep(
-        self,
-        begin: ti.i32,
-        first: ti.i32,
-        last: ti.i32,
-        h: float,
-        ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
-        coefficients: ti.types.ndarray(ndim=2),
-        values: ti.types.ndarray(ndim=1),
-    ):
-        for block in range(self.system.blocks):
-            if begin > 0:
-                self._begin(block)
-            for op in range(first, last):
-                self._move(block, op, h, ops, coefficients)
-
-    @ti.kernel
-    def _evaluate_parallel(self, slot: ti.i32, t: float, h: float, values: ti.types.ndarray(ndim=1)):
-        ti.static(self.system.parameters.read_from(values))
-        for block in range(self.system.blocks):
-            self._evaluate(block, slot, t, h)
-
-    @ti.kernel
-    def _finish_parallel(self, t: float, h: float, values: ti.types.ndarray(ndim=1)) -> ti.i32:
-        ti.static(self.system.parameters.read_from(values))
-        met = 0
-        if ti.static(self.contact.any):
-            for i in range(self.system.count):
-                met += self.contact.resolve(i, t, h)
-        if ti.static(self.system.tears):
-            for block in range(self.system.blocks):
-                self.system.tear(block)
-        return met
-
-    @ti.kernel
-    def _aim_parallel(self, h: float, driven: ti.types.ndarray(dtype=ti.i32, ndim=1), paths: ti.types.ndarray(ndim=3)):
-        for _ in range(1):
-            self._aim(0, h, driven, paths)
-
-    @ti.kernel
-    def _place_parallel(self, driven: ti.types.ndarray(dtype=ti.i32, ndim=1), paths: ti.types.ndarray(ndim=3)):
-        for _ in range(1):
-            self._place(1, driven, paths)
+            self.stages.place(self.driven, paths)
 
     def _solve(self, op: int, t: float, h: float) -> None:
         """Solve an implicit stage on the host: z = zbar + w h f(z), k = f(z)."""
+        assert self.solver
         row = self.table.ops[op]
         w = float(self.table.coefficients[op, 1]) * h
         x, v = (np.asarray(a, float) for a in self.system.read())
-        found = self.solver.solve(x, v, w, linear=bool(row[3]), t=t + float(self.table.coefficients[op, 0]) * h)
-        if not found.converged:
-            raise RunError(f"no solution of an implicit stage of '{self.table.scheme.name}' with a step of {h:.3g} s")
-        self._put(int(row[1]), *(np.ascontiguousarray(a, self.coefficients.dtype) for a in (found.x, found.v, (found.v - v) / w)))
-
-    @ti.kernel
-    def _put(
-        self, slot: ti.i32, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2), a: ti.types.ndarray(ndim=2)
-    ):
-        for i in range(self.system.count):
-            for d in ti.static(range(3)):
-                self.system.z[d][i] = x[i, d]
-                self.system.z[3 + d][i] = v[i, d]
-                self.system.k[d][slot * self.system.padded + i] = v[i, d]
-                self.system.k[3 + d][slot * self.system.padded + i] = a[i, d]
-
-
-def velocity_free(forces: Sequence[Any]) -> bool:
-    """Return whether no force depends on v, as far as the forces say."""
-    return all(getattr(force, "velocity_free", False) for force in forces)
+        at = t + float(self.table.coefficients[op, 0]) * h
+        held, vbar = None, v
+        for _ in range(_CONTACT_ROUNDS if self.contact.any else 1):
+            found = self.solver.solve(
+                x,
+                vbar,
+                w,
+                extra_acceleration=lambda x, v: self.stages.outside(x, v, at),
+                linear=bool(row[3]),
+                held=held,
+            )
+            self.iterations += np.array([found.iterations, found.linear_iterations])
+            if not found.converged:
+                raise _NoSolutionError
+            if not self.contact.any:
+                break
+            inside, stopped = self.contact.stopped(found.x, found.v, at, w)
+            if not inside.any():
+                break
+            held = inside if held is None else held | inside
+            vbar = np.where(inside[:, None], stopped, np.where(held[:, None], found.v, v))
+        self.stages.put(
+            int(row[1]),
+            *(np.ascontiguousarray(a, self.coefficients.dtype) for a in (found.x, found.v, (found.v - v) / w)),
+        )

@@ -65,6 +65,14 @@ class Table:
         return int(OpKind.SOLVE) in self.kinds
 
     @property
+    def probe(self) -> int:
+        """The register for the slope where a step begins, beyond the scheme's own; -1 where the program begins with that slope."""
+        first = self.edges[: 1 if self.edges[1] == self.edges[2] else 2]
+        begins = (self.ops[first, 0] == int(OpKind.EVALUATE)) & (self.coefficients[first, 0] == 0.0)
+        own = not self.implicit and int(OpKind.DIFFERENCE) not in self.kinds
+        return -1 if own and begins.all() else self.scheme.registers
+
+    @property
     def rotates(self) -> bool:
         """Whether slopes are copied within a step."""
         return any(op.kind is OpKind.ROTATE for op in self.inner)

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from ..errors import InputError
-from . import precision_command
+from . import box_command, precision_command
 
 
 @click.group(invoke_without_command=True)
@@ -85,13 +85,13 @@ def variable_steps(**options: Any) -> None:
 
 def _run(name: str, *, names: Sequence[str], out: str, as_json: bool, quiet: bool) -> None:
     from .. import schemes
-    from ..cli import _print_json, _stdout_kept
+    from ..command_options import print_json, stdout_kept
 
     if not out.strip():
         raise InputError("--out is empty: name a folder")
     chosen = [schemes.get(name) for name in dict.fromkeys(names)] or list(schemes.CATALOGUE.values())
     start = time.perf_counter()
-    with _stdout_kept():
+    with stdout_kept():
         from . import report
 
         folder = Path(out)
@@ -102,7 +102,7 @@ def _run(name: str, *, names: Sequence[str], out: str, as_json: bool, quiet: boo
     if not report.has_matplotlib() and not quiet:
         click.echo(report.INSTALL, err=True)
     if as_json:
-        _print_json(report.document(name, result))
+        print_json(report.document(name, result))
     elif not quiet:
         click.echo(summary(result))
         click.echo(f"{time.perf_counter() - start:.1f} s: {', '.join(map(str, written))}")
@@ -142,3 +142,4 @@ def _teller(quiet: bool) -> Callable[[str], None]:
 
 
 study.add_command(precision_command.command(_options, _teller))
+study.add_command(box_command.command(_options, _teller))

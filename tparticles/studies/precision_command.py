@@ -39,13 +39,13 @@ def command(options: Callable[..., Any], teller: Callable[[bool], Callable[[str]
         scipy is installed. SCENE is a scene file or the name of one in ./scenes: errors are in pixels, as its camera sees them.
         """
         from .. import schemes
-        from ..cli import _print_json, _stdout_kept
+        from ..command_options import print_json, stdout_kept
 
         if not out.strip():
             raise InputError("--out is empty: name a folder")
         chosen = [schemes.get(name) for name in dict.fromkeys(names)]
         start, folder = time.perf_counter(), Path(out)
-        with _stdout_kept():
+        with stdout_kept():
             from . import report
             from .draw_precision import precision as draw
 
@@ -56,7 +56,7 @@ def command(options: Callable[..., Any], teller: Callable[[bool], Callable[[str]
         if not report.has_matplotlib() and not quiet:
             click.echo(report.INSTALL, err=True)
         if as_json:
-            _print_json(report.document(name, result))
+            print_json(report.document(name, result))
         elif not quiet:
             click.echo(summary(result))
             click.echo(f"{time.perf_counter() - start:.1f} s: {', '.join(map(str, written))}")

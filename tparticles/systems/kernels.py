@@ -32,12 +32,13 @@ class EmitKernel:
     def __init__(self, emitter: Emitter, columns: Columns, *, key: int, index: int, of: int):
         self.columns, self.key, self.index, self.of = columns, key, index, of
         self.has = {name: getattr(emitter, name) is not None for name in ("velocity", "temperature", "lifetime")}
+        self.serial = backend.current().in_one_thread(columns.padded)
         self.parameters = Parameters()
         self.emitter = self.parameters.bind(emitter, skip=("births", "start", "stop", "preroll"))
 
-    def emit(self, slot: int, births: Births) -> None:
-        """Write the newborns into the slots from `slot` on."""
-        self._emit(self.key, slot, births.first, births.count, births.spans, 0, self.parameters.array)
+    def emit(self, slot: int, births: Births, first: int, count: int, stride: int) -> None:
+        """Write `count` of the newborns into the slots from `slot` on: `first`, first + stride, ... by their own ids."""
+        self._emit(self.key, slot, first, count, stride, births.spans, 0, self.parameters.array)
 
     @ti.kernel
     def _emit(
@@ -46,14 +47,16 @@ class EmitKernel:
         slot: ti.i32,
         first: ti.i32,
         count: ti.i32,
+        stride: ti.i32,
         spans: ti.types.ndarray(dtype=ti.f64, ndim=2),
         zero: ti.i64,
         values: ti.types.ndarray(ndim=1),
     ):
         ti.static(self.parameters.read_from(values))
+        ti.loop_config(serialize=ti.static(self.serial))
         for j in range(count):
             i = slot + j
-            own = first + j  # the id inside the emitter keys the draws
+            own = first + j * stride  # the id inside the emitter keys the draws
             stream = device_stream(key, own)
             self.columns["id"][0][i] = own * self.of + self.index
             self.columns["birth"][0][i] = self._birth(spans, own, stream, zero)

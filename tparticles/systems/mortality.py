@@ -1,6 +1,6 @@
 """Who dies at the end of a frame: the too old, those who left the region, the too cold to glow; and who went astray."""
 
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportIndexIssue=false
 
 from typing import Any
 
@@ -40,6 +40,7 @@ class Mortality:
         self.kills = ages or self.bounded or self.freezes
         self.lanes = backend.current().lanes
         self.vectorised = self.lanes > 1 and (columns.padded > FEW if vectorised is None else vectorised)
+        self.serial = backend.current().in_one_thread(columns.padded)
         # Bit l of entry b: whether the particle in lane l of block b is dead.
         self.dead = ti.field(ti.i32, columns.padded // self.lanes if self.kills else 1)
 
@@ -66,6 +67,7 @@ class Mortality:
     ) -> ti.types.vector(2, ti.i32):
         ti.static(self.view.parameters.read_from(values))
         died, astray = 0, _NOBODY
+        ti.loop_config(serialize=ti.static(self.serial))
         for block in range((count + self.lanes - 1) // self.lanes):
             dead, lost = self._verdicts(block * self.lanes, ti.min(count - block * self.lanes, self.lanes), t, camera)
             if ti.static(self.kills):
@@ -105,7 +107,8 @@ class Mortality:
     @ti.func
     def _is_lost(self, i, age):
         # A sum keeps a NaN, where max() would drop it.
-        reach = ti.abs(self.view.position(i)).sum() + ti.abs(self.view.velocity(i)).sum()
+        away, speed = ti.abs(self.view.position(i)), ti.abs(self.view.velocity(i))
+        reach = away[0] + away[1] + away[2] + speed[0] + speed[1] + speed[2]
         if ti.static("T" in self.columns):
             reach += ti.abs(self.view.temperature_at(i, age))
         return ti.select(ti.math.isnan(reach) or reach > _FAR, 1, 0)

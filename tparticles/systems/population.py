@@ -5,7 +5,7 @@ Slots never depend on thread order: newborns are appended in the order of their 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,35 @@ import numpy as np
 
 from .. import rng
 from ..errors import InputError, RunError
-from ..physics.emitters import Emitter, Schedule
+from ..physics.emitters import Births, Emitter, Schedule
 from .attributes import Columns
 from .kernels import Compaction, EmitKernel
+from .transfer import Transfer
+
+
+@dataclass(frozen=True)
+class Share:
+    """The part of the particles that one shard of `count` simulates: every `count`-th id of each emitter.
+
+    Ids follow the births, so that whoever lives at a moment is dealt out evenly, whatever the emitters do; emitters begin with
+    different shards, so that many small ones are dealt out, too. A particle does not depend on its neighbours: it has the same
+    bits in any shard.
+    """
+
+    index: int = 0  # from 0
+    count: int = 1
+
+    def of(self, births: Births, emitter: int) -> tuple[int, int]:
+        """Return the first own id and the number of those `births` of emitter number `emitter` that are of this share."""
+        first = births.first + (self.index - births.first - emitter) % self.count
+        return first, max(0, -(-(births.first + births.count - first) // self.count))
+
+    def room(self, capacity: int, emitters: int) -> int:
+        """Return the room that this share takes of a group whose ids of every moment are consecutive."""
+        return capacity if self.count == 1 else min(capacity, -(-capacity // self.count) + emitters)
+
+
+WHOLE = Share()
 
 
 @dataclass
@@ -35,16 +61,26 @@ class Population:
         emitters: where particles come from; ids of emitter e are e, e + E, e + 2E, ... (E emitters).
         columns: the attributes, allocated.
         schedules: their births, one each (see `schedules`).
+        share: which of them are simulated here.
     """
 
-    def __init__(self, name: str, emitters: tuple[Emitter, ...], *, columns: Columns, schedules: Sequence[Schedule]):
-        self.name, self.columns = name, columns
+    def __init__(
+        self,
+        name: str,
+        emitters: tuple[Emitter, ...],
+        *,
+        columns: Columns,
+        schedules: Sequence[Schedule],
+        share: Share = WHOLE,
+    ):
+        self.name, self.columns, self.share = name, columns, share
         self.born = self.died = self.alive = 0
         self._sources = [
             _Source(e, schedule, EmitKernel(e, columns, key=schedule.key, index=i, of=len(emitters)))
             for i, (e, schedule) in enumerate(zip(emitters, schedules, strict=True))
         ]
         self._compaction: Compaction | None = None
+        self._transfer: Transfer | None = None
 
     def emit(self, t0: float, t1: float) -> int:
         """Append everybody born in [t0, t1) [s]; return how many.
@@ -53,9 +89,9 @@ class Population:
             RunError: more than the capacity; the message names the emitter and the capacity needed.
         """
         before = self.alive
-        for source in self._sources:
+        for i, source in enumerate(self._sources):
             births = source.schedule.births(t0, t1)
-            count = births.count
+            first, count = self.share.of(births, i)
             if self.alive + count > self.columns.capacity:
                 raise RunError(
                     f"group '{self.name}', emitter '{source.emitter.name}': {count} births at t = {t0:.4g} s need room for "
@@ -63,7 +99,7 @@ class Population:
                     "leave it out to have it derived from the emitters"
                 )
             if count:
-                source.kernel.emit(self.alive, births)
+                source.kernel.emit(self.alive, births, first, count, self.share.count)
                 self.alive += count
         self.born += self.alive - before
         return self.alive - before
@@ -79,9 +115,29 @@ class Population:
             if self._compaction is None:
                 self._compaction = Compaction(self.columns, dead)
             self.alive = self._compaction.run(self.alive)
+        self._check()
+        return died
+
+    def snapshot(self) -> dict[str, np.ndarray | int | float]:
+        """Return all that the future of the group depends on: the counters, and every attribute of the living."""
+        self._transfer = self._transfer or Transfer(self.columns)
+        return {"born": self.born, "died": self.died, **self._transfer.read(self.alive)}
+
+    def restore(self, state: Mapping[str, np.ndarray | int | float]) -> None:
+        """Go on from a `snapshot`.
+
+        Raises:
+            RunError: it is of another group.
+        """
+        self._transfer = self._transfer or Transfer(self.columns)
+        arrays = {name: value for name, value in state.items() if isinstance(value, np.ndarray)}
+        self.alive = self._transfer.write(arrays)
+        self.born, self.died = int(state["born"]), int(state["died"])
+        self._check()
+
+    def _check(self) -> None:
         if self.alive != self.born - self.died:
             raise RunError(f"group '{self.name}': {self.alive} alive, but {self.born} born and {self.died} died")
-        return died
 
     def read(self, name: str) -> np.ndarray:
         """Return an attribute of the living as an array, shape (alive,) or (alive, components)."""

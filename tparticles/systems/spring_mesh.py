@@ -6,6 +6,7 @@ consecutive vertices have their n-th springs side by side, where the compiler ve
 """
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportOptionalSubscript=false
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,11 +30,12 @@ class SpringMesh:
         forces: accelerations [m/s^2] beside the springs, each a `ForceLike`.
         fixed: vertices, bool (n,), that no force moves.
         registers: how many slopes to hold.
+        tallies: whether a slope holds the energy of the springs, too: half of each spring's with either end.
 
-    `z`, `z0`: 6 fields (x, v) of the padded length; `k`: 6 fields of slopes, register j from j * padded on.
+    `z`, `z0`: 6 fields (x, v) of the padded length; `k`: 6 fields of slopes (7 with the energy [J]), register j from j * padded on.
     """
 
-    def __init__(self, mesh: Mesh, *, forces: Sequence[Any], fixed: np.ndarray, registers: int):
+    def __init__(self, mesh: Mesh, *, forces: Sequence[Any], fixed: np.ndarray, registers: int, tallies: bool = False):
         self.mesh, self.count = mesh, len(mesh.x)
         self.real = backend.current().real
         self.lanes = backend.current().lanes
@@ -46,12 +48,15 @@ class SpringMesh:
         self.damped = bool(np.any(mesh.damping > 0))
         self.tears = bool(np.any(np.isfinite(mesh.tear)))
         self.z, self.z0 = self._fields(6), self._fields(6)
-        self.k = self._fields(6, registers)
+        self.tallies = tallies
+        self.k = self._fields(6 + tallies, registers)
         (self.inverse_mass,) = self._fields(1)
         # per entry of the adjacency; what a mesh does not need is not there
         self.starts = self._filled(near.starts, ti.i32)
         self.column = self._filled(near.column, ti.i32)
         self.spring = np.asarray(near.spring)
+        self.overflows = near.overflows
+        self.overflow = self._filled(near.overflow, ti.i32) if near.overflows else None
         self.stiffness = self._filled(self._per_entry(mesh.stiffness), self.real)
         self.rest = self._filled(self._per_entry(mesh.rest), self.real)
         self.damping = self._filled(self._per_entry(mesh.damping), self.real) if self.damped else None
@@ -116,43 +121,52 @@ class SpringMesh:
             for d in ti.static(range(6)):
                 b.z[d][lane] = self.z[d][i]
             for d in ti.static(range(3)):
-                b.a[d][lane] = 0.0
+                b.a[d][lane] = b.f[d][lane] = 0.0
+        # Vectors of their own: where one loop over the lanes follows another on the same ones, the first is not vectorised.
         self._pull(b, block)
+        self.push(b, t)
         for lane in range(b.lanes):
             w = self.inverse_mass[block * b.lanes + lane]
             for d in ti.static(range(3)):
-                b.a[d][lane] *= w
-        self._force(b, t)
-        for lane in range(b.lanes):
-            if self.inverse_mass[block * b.lanes + lane] == 0.0:
-                for d in ti.static(range(3)):
-                    b.a[d][lane] = 0.0
+                b.a[d][lane] = ti.select(w > 0.0, b.a[d][lane] + w * b.f[d][lane], 0.0)
 
     @ti.func
     def _pull(self, b: ti.template(), block):
         """f_i = sum_j (k (l - l0) + c d.(v_j - v_i) / l) d / l with d = x_j - x_i, l = |d|."""
         first = block * b.lanes
-        tiny = ti.cast(1e-30, float)
         for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
             for lane in range(b.lanes):
-                entry = e * LANES + first % LANES + lane
-                j = self.column[entry]
-                dx, dy, dz = self.z[0][j] - b.z[0][lane], self.z[1][j] - b.z[1][lane], self.z[2][j] - b.z[2][lane]
-                inverse = 1.0 / ti.sqrt(dx * dx + dy * dy + dz * dz + tiny)
-                pull = self.stiffness[entry] * (1.0 - self.rest[entry] * inverse)
-                if ti.static(self.damped):
-                    along = (
-                        dx * (self.z[3][j] - b.z[3][lane])
-                        + dy * (self.z[4][j] - b.z[4][lane])
-                        + dz * (self.z[5][j] - b.z[5][lane])
-                    )
-                    pull += self.damping[entry] * along * inverse * inverse
-                b.a[0][lane] += pull * dx
-                b.a[1][lane] += pull * dy
-                b.a[2][lane] += pull * dz
+                self._pull_by(b, lane, e * LANES + first % LANES + lane)
+        if ti.static(self.overflows):
+            for lane in range(b.lanes):
+                for entry in range(self.overflow[first + lane], self.overflow[first + lane + 1]):
+                    self._pull_by(b, lane, entry)
 
     @ti.func
-    def _force(self, b: ti.template(), t):
+    def _pull_by(self, b: ti.template(), lane, entry):
+        """Add the force of one spring to a vertex."""
+        tiny = ti.cast(1e-30, float)
+        j = self.column[entry]
+        dx, dy, dz = self.z[0][j] - b.z[0][lane], self.z[1][j] - b.z[1][lane], self.z[2][j] - b.z[2][lane]
+        square = dx * dx + dy * dy + dz * dz + tiny
+        inverse = 1.0 / ti.sqrt(square)
+        pull = self.stiffness[entry] * (1.0 - self.rest[entry] * inverse)
+        if ti.static(self.tallies):
+            # k (l - l0)^2 / 4
+            b.e[lane] += 0.25 * pull * (1.0 - self.rest[entry] * inverse) * square
+        if ti.static(self.damped):
+            along = (
+                dx * (self.z[3][j] - b.z[3][lane])
+                + dy * (self.z[4][j] - b.z[4][lane])
+                + dz * (self.z[5][j] - b.z[5][lane])
+            )
+            pull += self.damping[entry] * along * inverse * inverse
+        b.f[0][lane] += pull * dx
+        b.f[1][lane] += pull * dy
+        b.f[2][lane] += pull * dz
+
+    @ti.func
+    def push(self, b: ti.template(), t):
         """Add the accelerations beside the springs."""
         for term, sets in ti.static(self.terms):
             for p in range(term.passes):
@@ -180,13 +194,20 @@ class SpringMesh:
         first = block * self.lanes
         for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
             for lane in range(self.lanes):
-                entry, i = e * LANES + first % LANES + lane, first + lane
-                j = self.column[entry]
-                dx, dy, dz = self.z[0][j] - self.z[0][i], self.z[1][j] - self.z[1][i], self.z[2][j] - self.z[2][i]
-                if dx * dx + dy * dy + dz * dz > self.limit[entry] * self.limit[entry]:
-                    self.stiffness[entry] = 0.0
-                    if ti.static(self.damped):
-                        self.damping[entry] = 0.0
+                self._tear_one(first + lane, e * LANES + first % LANES + lane)
+        if ti.static(self.overflows):
+            for lane in range(self.lanes):
+                for entry in range(self.overflow[first + lane], self.overflow[first + lane + 1]):
+                    self._tear_one(first + lane, entry)
+
+    @ti.func
+    def _tear_one(self, i, entry):
+        j = self.column[entry]
+        dx, dy, dz = self.z[0][j] - self.z[0][i], self.z[1][j] - self.z[1][i], self.z[2][j] - self.z[2][i]
+        if dx * dx + dy * dy + dz * dz > self.limit[entry] * self.limit[entry]:
+            self.stiffness[entry] = 0.0
+            if ti.static(self.damped):
+                self.damping[entry] = 0.0
 
 
 def energies(mesh: Mesh, x: np.ndarray, v: np.ndarray, whole: np.ndarray, g: np.ndarray) -> dict[str, float]:

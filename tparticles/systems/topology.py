@@ -20,10 +20,9 @@ LONGEST = 64  # springs of a vertex that lie in the slices
 class Rows:
     """Compressed rows (CSR).
 
-    The springs of `vertex[i]` are entries `starts[i]` to `starts[i + 1]` of `column`, the vertex at the other end, and `spring`.
+    The springs of vertex i are entries `starts[i]` to `starts[i + 1]` of `column`, the vertex at the other end, and `spring`.
     """
 
-    vertex: Integers
     starts: Integers
     column: Integers
     spring: Integers
@@ -39,7 +38,7 @@ class Rows:
         np.cumsum(np.bincount(owner, minlength=n), out=starts[1:])
         spring = order.astype(np.int32)
         spring[spring >= m] -= m
-        return cls(np.arange(n, dtype=np.int32), starts, neighbour[order], spring)
+        return cls(starts, neighbour[order], spring)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +47,9 @@ class Adjacency:
 
     - Block b of vertices 16 b to 16 b + 15 has rows `starts[b]` to `starts[b + 1]`; row e and lane l are entry 16 e + l.
     - `column`: the vertex at the other end, the vertex itself where there is no spring; `spring`: which one, or -1.
-    - `overflow`: what a vertex has beyond its first `LONGEST` springs, as rows. Few meshes have any; it keeps one hub with a
-      million spokes from padding 15 neighbours to its length. A sum that goes on with it goes in the order of `Rows`.
+    - What a vertex i has beyond its first `LONGEST` springs comes after all slices: entries `overflow[i]` to `overflow[i + 1]`.
+      Few meshes have any (`overflows`); it keeps one hub with a million spokes from padding 15 neighbours to its length. A sum
+      that goes on with them goes in the order of `Rows`.
 
     The last block is filled up with vertices that have no springs.
     """
@@ -57,7 +57,7 @@ class Adjacency:
     starts: Integers
     column: Integers
     spring: Integers
-    overflow: Rows
+    overflow: Integers
 
     @classmethod
     def of(cls, mesh: Mesh) -> Self:
@@ -70,20 +70,26 @@ class Adjacency:
         width = short.reshape(blocks, LANES).max(axis=1)
         starts = np.zeros(blocks + 1, np.int32)
         np.cumsum(width, out=starts[1:])
-        owner = np.repeat(rows.vertex, degree)
+        owner = np.repeat(np.arange(mesh.vertex_count, dtype=np.int32), degree)
         place = np.arange(len(owner), dtype=np.int32) - rows.starts[owner]
-        inside = slice(None) if degree.max(initial=0) <= LONGEST else place < LONGEST
+        long = np.zeros(blocks * LANES, np.int32)
+        long[: len(degree)] = np.maximum(degree - LONGEST, 0)
+        inside, beyond = (place < LONGEST, place >= LONGEST) if long.any() else (slice(None), slice(0))
         i = owner[inside]
         entry = (starts[i // LANES].astype(np.int64) + place[inside]) * LANES + i % LANES
         own = np.arange(blocks * LANES, dtype=np.int32).reshape(blocks, LANES)
         column = np.repeat(own, width, axis=0).ravel()
         spring = np.full(len(column), -1, np.int32)
+        overflow = np.concatenate([[0], np.cumsum(long)]) + len(column)
         column[entry], spring[entry] = rows.column[inside], rows.spring[inside]
-        return cls(starts, column, spring, _overflow(rows, degree, place))
+        return cls(
+            starts,
+            np.concatenate([column, rows.column[beyond]]),
+            np.concatenate([spring, rows.spring[beyond]]),
+            overflow.astype(np.int32),
+        )
 
-
-def _overflow(rows: Rows, degree: np.ndarray, place: np.ndarray) -> Rows:
-    long = np.flatnonzero(degree > LONGEST).astype(np.int32)
-    starts = np.concatenate([[0], np.cumsum(degree[long] - LONGEST)]).astype(np.int32)
-    beyond = place >= LONGEST if len(long) else slice(0)
-    return Rows(long, starts, rows.column[beyond], rows.spring[beyond])
+    @property
+    def overflows(self) -> bool:
+        """Whether a vertex has more than `LONGEST` springs."""
+        return bool(self.overflow[-1] > self.overflow[0])

@@ -1,0 +1,57 @@
+"""A finished frame, and what it took."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .stepping.fused import StepReport
+
+
+@dataclass
+class FrameReport:
+    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds."""
+
+    frame: int
+    time: float
+    born: int = 0
+    died: int = 0
+    alive: int = 0
+    steps: int = 0
+    rejected: int = 0
+    dt_min: float = 0.0
+    dt_max: float = 0.0
+    ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
+
+    def row(self) -> dict[str, Any]:
+        """Return the report as a row of run.json."""
+        return dataclasses.asdict(self)
+
+    def add_steps(self, report: StepReport) -> None:
+        """Count in what a stepper did."""
+        self.rejected += report.rejected
+        if report.steps:
+            self.dt_min = min(self.dt_min, report.dt_min) if self.steps else report.dt_min
+            self.dt_max = max(self.dt_max, report.dt_max)
+            self.steps += report.steps
+
+
+@dataclass
+class Frame:
+    """A finished frame. `state` and `linear` read the simulation and are valid until the next frame is asked for."""
+
+    number: int
+    image: np.ndarray
+    report: FrameReport
+    _simulation: Any
+
+    def linear(self) -> np.ndarray:
+        """Return the film before tone curve and background, film values, float64, shape (h, w, 3)."""
+        return self._simulation.film.linear()
+
+    def state(self) -> dict[str, dict[str, np.ndarray]]:
+        """Return the living, by group: id, x [m], v [m/s] if the scene has it, T [K], age [s], birth [s]."""
+        return {group.spec.name: group.state(self.report.time) for group in self._simulation.groups}

@@ -1,0 +1,153 @@
+"""The process that writes a log. It ends when whoever runs the simulation ends, in whatever way, with all that it was given on the disk.
+
+The file is written for readers that open it meanwhile (HDF5's SWMR): at any moment, what was flushed last can be read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import pickle
+import signal
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from . import layout
+
+_CACHE = 64 << 20  # bytes of chunks that are not full yet
+
+
+def main() -> None:
+    """Write what comes on stdin, pickled, until it says "end" or is closed; tell on stdout what is free again, or what failed.
+
+    The first message: the path, the header, the meshes (a dict of attributes, of arrays that stay, and where the memory of its
+    blocks begins), the groups of particles (a dict of attributes, and of columns), the name and the size of the file of the memory.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        with contextlib.suppress(AttributeError):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)  # the simulation ends first, and says so
+    source, replies = sys.stdin.buffer, sys.stdout.buffer
+
+    def reply(*message: Any) -> None:
+        with contextlib.suppress(OSError):
+            pickle.dump(message, replies)
+            replies.flush()
+
+    try:
+        path, header, meshes, particles, name, size = pickle.load(source)
+        with open(name, "r+b") as file:
+            memory = mmap.mmap(file.fileno(), size)
+        writer = _Writer(path, header, meshes, particles, memory)
+        reply("ready")
+        writer.serve(source, reply)
+    except OSError as error:
+        reply("failed", error.strerror or str(error))
+        sys.exit(1)
+
+
+class _Writer:
+    def __init__(
+        self, path: Path, header: Mapping[str, Any], meshes: Sequence[Any], particles: Sequence[Any], memory: mmap.mmap
+    ):
+        h5py, self._plugin = layout.hdf5()
+        self._file = h5py.File(path, "w", libver="latest", rdcc_nbytes=_CACHE)
+        self._file.attrs.update(format=layout.FORMAT, version=layout.VERSION, header=json.dumps(header))
+        self._complete = self._file.create_dataset("complete", data=0)
+        self._meshes = [self._mesh(mesh) for mesh in meshes]
+        self._blocks = [
+            [layout.block(memory, place, mesh["vertices"], mesh["kind"]) for place in mesh["places"]] for mesh in meshes
+        ]
+        self._particles = [self._group(group) for group in particles]
+        self._file.swmr_mode = True
+
+    def serve(self, source: BinaryIO, reply: Callable[..., None]) -> None:
+        """Write until there is no more."""
+        try:
+            while True:
+                kind, *content = pickle.load(source)
+                if kind == "end":
+                    self._complete[()] = content[0]
+                    break
+                getattr(self, f"_write_{kind}")(*content)
+                if kind == "rows":
+                    reply("free", *content[:2])
+        except (EOFError, pickle.UnpicklingError):
+            pass  # it was killed
+        self._file.close()
+
+    def _growing(self, group: Any, name: str, shape: tuple[int, ...], kind: str) -> Any:
+        """Make an array of rows of this shape."""
+        width = int(np.prod(shape, dtype=np.int64))
+        blosc = self._plugin.Blosc(cname="lz4", clevel=1, shuffle=self._plugin.Blosc.BITSHUFFLE)
+        chunk = (layout.rows_per_chunk(width, kind), *shape)
+        return group.create_dataset(name, shape=(0, *shape), maxshape=(None, *shape), chunks=chunk, dtype=kind, **blosc)
+
+    def _mesh(self, mesh: Mapping[str, Any]) -> Any:
+        group = self._file.create_group(f"meshes/{mesh['name']}")
+        group.attrs.update(mesh["attributes"])
+        for name, values in mesh["arrays"].items():
+            group.create_dataset(name, data=values)
+        for name in layout.STATE:
+            self._growing(group, name, (3, len(mesh["arrays"]["id"])), mesh["kind"])
+        for name, kind in (("step", "i8"), ("time", "f8"), ("dt", "f8")):
+            self._growing(group, name, (), kind)
+        self._growing(group, "energy", (len(layout.ENERGIES),), "f8")
+        self._growing(group, "contacts", (len(layout.EVENT),), "f8")
+        self._growing(group, "torn", (2,), "f8")
+        group.create_dataset("contacts_lost", data=0)
+        return group
+
+    def _group(self, particles: Mapping[str, Any]) -> Any:
+        group = self._file.create_group(f"particles/{particles['name']}")
+        group.attrs.update(particles["attributes"])
+        for name, kind in (("frame", "i8"), ("time", "f8"), ("first", "i8"), ("count", "i8")):
+            self._growing(group, name, (), kind)
+        for name, (components, kind) in particles["columns"].items():
+            self._growing(group, f"columns/{name}", (components,), kind)
+        return group
+
+    def _append(self, array: Any, values: Any) -> None:
+        count, more = len(array), len(values)
+        if more:
+            array.resize(count + more, axis=0)
+            array[count:] = values
+            array.flush()
+
+    def _write_rows(self, mesh: int, block: int, filled: int) -> None:
+        group, rows = self._meshes[mesh], self._blocks[mesh][block]
+        met = int(rows.events[0, 0])
+        events = rows.events[1 : 1 + met]
+        self._append(group["contacts"], events[np.lexsort((events[:, 2], events[:, 1]))])
+        if met > len(events):
+            group["contacts_lost"][()] += met - len(events)
+        for place, name in enumerate(layout.STATE):
+            self._append(group[name], rows.state[place, :filled])
+        for name in ("energy", "dt", "time", "step"):  # `step` last: a reader counts rows by it
+            self._append(group[name], getattr(rows, name)[:filled])
+
+    def _write_rewind(self, mesh: int, rows: int, time: float) -> None:
+        group = self._meshes[mesh]
+        for name in ("step", "time", "dt", "energy", *layout.STATE):
+            group[name].resize(rows, axis=0)
+        contacts = group["contacts"]
+        contacts.resize(int(np.searchsorted(contacts[:, 1], time)), axis=0)
+
+    def _write_torn(self, mesh: int, time: float, springs: np.ndarray) -> None:
+        self._append(self._meshes[mesh]["torn"], np.column_stack([np.full(len(springs), time), springs]))
+
+    def _write_particles(self, index: int, frame: int, time: float, columns: Mapping[str, np.ndarray]) -> None:
+        group = self._particles[index]
+        first, count = len(group["columns/id"]), len(columns["id"])
+        for name, values in columns.items():
+            self._append(group[f"columns/{name}"], values)
+        for name, value in (("first", first), ("count", count), ("time", time), ("frame", frame)):
+            self._append(group[name], [value])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,332 @@
+"""One film by several processes or machines: each simulates and draws a share of the particles, their films are summed.
+
+A particle depends on no other, and a film is a sum of integers: whatever the number of shards, the picture is the same to the bit.
+Each shard leaves its pieces in DIR/shards/K-of-N; whoever merges sums them, develops, and removes them when a frame is on the disk.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import __version__, backend, output
+from .checkpoint import Checkpoints
+from .errors import InputError, RunError, TparticlesError
+from .job import Job
+from .output.files import reason
+from .output.pieces import add_piece, piece_path, write_piece
+from .output.sealed import Sections
+from .resume import Start, find_start
+from .shard_estimate import estimate
+from .simulation import Frame, FrameReport, Share, make_film
+
+_PARENT = "TPARTICLES_PARENT"  # the process that a local shard works for
+_LOOK = 0.01  # [s] between two looks for a piece
+_PATIENCE = 10.0  # [s] for a shard that is told to stop
+_LEAST_DOTS = 1 << 10  # a film that is only summed takes no dots
+
+
+def check_shards(job: Job, count: int) -> None:
+    """Refuse what cannot be done in shards. Raises InputError."""
+    if job.options.states:
+        raise InputError("--shards: states are not merged; leave out --states")
+    if job.options.resume and not job.options.png and job.options.mp4:
+        raise InputError("--shards: a film is resumed from its pictures; leave out --no-png")
+    if not 1 <= count <= 10_000:
+        raise InputError(f"--shards {count}: 1 to 10000 are allowed")
+
+
+def folder_of(out: Path, share: Share) -> Path:
+    """Return where a shard leaves its pieces; shards count from 1 there, as on the command line."""
+    return out / output.SHARDS / f"{share.index + 1}-of-{share.count}"
+
+
+def _identity(job: Job, arch: str, share: Share) -> str:
+    return f"{job.owner(arch)}-shard-{share.index + 1}-of-{share.count}"
+
+
+def render_shard(
+    job: Job,
+    share: Share,
+    progress: Callable[[Any, int], None],
+    *,
+    tell: Callable[[str], None],
+    merged: int = 0,
+) -> dict[str, Any]:
+    """Simulate and draw one share of the particles; return what the shard's run.json holds.
+
+    merged: frames up to this one are summed and done: a resumed shard need not have them.
+    Raises as `Job.run`.
+    """
+    check_shards(job, share.count)
+    simulation = job.simulation(share)
+    folder, arch = folder_of(job.out, share), simulation.backend.arch
+    identity = _identity(job, arch, share)
+    with output.held_folder(folder):
+        output.claim_folder(folder, scene=job.script.name, identity=identity, existing=job.options.existing)
+        start = _start(job, folder, identity, merged, tell)
+        manifest = output.Manifest(folder / "run.json", job.header() | {"identity": identity, "arch": arch})
+        checkpoints = Checkpoints(
+            folder / output.CHECKPOINTS,
+            identity=identity,
+            interval=job.interval,
+            keep=start.checkpoint,
+            before=manifest.save,
+            tell=tell,
+        )
+        try:
+            if start.checkpoint is not None:
+                simulation.restore(start.checkpoint.sections)
+            with job.script.blamed():
+                reports = simulation.exposures(start.others, after=lambda n: checkpoints.after(n, simulation.snapshot))
+                for done, report in enumerate(reports, start=len(start.kept) + 1):
+                    _check_parent()
+                    _write(folder, simulation.film.sums(), report, identity)
+                    manifest.add(report.row())
+                    progress(_Shown(report), done)
+        except KeyboardInterrupt:
+            manifest.finish("interrupted")
+            raise
+        except BaseException as error:
+            manifest.finish("failed", str(error) or type(error).__name__)
+            raise
+        finally:
+            checkpoints.close()
+        manifest.finish("done")
+        shutil.rmtree(folder / output.CHECKPOINTS, ignore_errors=True)
+    return output.read_manifest(folder / "run.json")
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What progress shows of a frame."""
+
+    report: FrameReport
+
+    @property
+    def number(self) -> int:
+        """The frame's."""
+        return self.report.frame
+
+
+def _start(job: Job, folder: Path, identity: str, merged: int, tell: Callable[[str], None]) -> Start:
+    if not job.options.resume:
+        shutil.rmtree(folder / output.CHECKPOINTS, ignore_errors=True)
+        return Start(job.frames)
+
+    def whole(number: int, _: Mapping[str, Any]) -> bool:
+        if number <= merged:
+            return True
+        try:
+            add_piece(
+                folder,
+                number,
+                np.zeros((job.size[1], job.size[0], 3), np.int64),
+                version=__version__,
+                identity=identity,
+            )
+        except InputError:
+            return False
+        return True
+
+    rows = [{"frame": number} for number in job.frames]
+    return find_start(job.frames, rows, check=whole, folder=folder / output.CHECKPOINTS, identity=identity, tell=tell)
+
+
+def _write(folder: Path, sums: np.ndarray, report: FrameReport, identity: str) -> None:
+    row = report.row()
+    row |= {f"ms {part}": ms for part, ms in row.pop("ms").items()}
+    try:
+        write_piece(folder, sums, row, version=__version__, identity=identity)
+    except OSError as error:
+        raise RunError(f"cannot write {piece_path(folder, report.frame)}: {reason(error)}") from error
+
+
+def _check_parent() -> None:
+    """End with the process that we work for: it may have been killed."""
+    parent = os.environ.get(_PARENT)
+    if parent is not None and int(parent) != os.getppid():
+        raise RunError("the process that merges the shards is gone")
+
+
+@dataclass
+class Merge:
+    """The frames of a film, summed from the pieces of `count` shards; see `Source`.
+
+    wait: called again and again while a piece is not there yet, with its shard; raises where it will never be.
+    begin: called with the last frame that is there already, before the first piece is needed.
+    """
+
+    job: Job
+    count: int
+    begin: Callable[[int], None] = field(default=lambda merged: None)
+    wait: Callable[[int, Path], None] = field(default=lambda index, path: _missing(index, path))
+
+    def __post_init__(self) -> None:
+        o = self.job.options
+        self.backend = backend.start(arch=o.arch, threads=o.threads, precision=o.precision)
+        self._film = make_film(self.job.scene, self.job.size, capacity=_LEAST_DOTS)
+        self._table, self._film_max = self.job.scene.look.display_table()
+
+    def frames(self, numbers: Sequence[int], *, after: Callable[[int], None]) -> Iterator[Frame]:
+        """Yield the frames `numbers`, each when all of its pieces are there."""
+        if numbers:
+            self.begin(numbers[0] - 1)
+        width, height = self.job.size
+        for number in numbers:
+            total = np.zeros((height, width, 3), np.int64)
+            report = FrameReport(number, 0.0)
+            for index in range(self.count):
+                _count_in(report, self._add(index, number, total))
+            self._film.clear()
+            self._film.merge(total)
+            image = self._film.develop(self._table, self._film_max, dither=self.job.scene.look.dither)
+            yield Frame(number, image, report, None)
+            after(number)
+
+    def _add(self, index: int, number: int, total: np.ndarray) -> dict[str, Any]:
+        share = Share(index, self.count)
+        folder = folder_of(self.job.out, share)
+        path = piece_path(folder, number)
+        while not path.exists():
+            self.wait(index, path)
+        identity = _identity(self.job, self.backend.arch, share)
+        return add_piece(folder, number, total, version=__version__, identity=identity)
+
+    def finished(self, number: int) -> None:
+        """Remove the pieces of a frame that is on the disk."""
+        for index in range(self.count):
+            piece_path(folder_of(self.job.out, Share(index, self.count)), number).unlink(missing_ok=True)
+
+    def snapshot(self) -> Sections:
+        """Return nothing: each frame is made of its pieces alone."""
+        return {}
+
+    def restore(self, state: Sections) -> None:
+        """Do nothing."""
+
+
+def _missing(index: int, path: Path) -> None:
+    raise RunError(f"{path} is missing: render it with --shard {index + 1}")
+
+
+def _count_in(report: FrameReport, row: dict[str, Any]) -> None:
+    """Add up what the shards report; the time of a frame is that of all of them together."""
+    report.time = row["time"]
+    for name in ("born", "died", "alive", "rejected"):
+        setattr(report, name, getattr(report, name) + row[name])
+    for part in report.ms:
+        report.ms[part] += row[f"ms {part}"]
+    if row["steps"]:
+        report.dt_min = min(report.dt_min, row["dt_min"]) if report.steps else row["dt_min"]
+        report.dt_max = max(report.dt_max, row["dt_max"])
+        report.steps += row["steps"]
+
+
+def merge_shards(
+    job: Job, count: int, progress: Callable[[Frame, int], None], *, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Make the film of the pieces that `count` shards have left; return what run.json holds. Raises as `Job.run`."""
+    check_shards(job, count)
+    run = job.run(progress, tell=tell, source=lambda: Merge(job, count))
+    shutil.rmtree(job.out / output.SHARDS, ignore_errors=True)
+    return run
+
+
+def render_in_shards(
+    job: Job,
+    count: int,
+    progress: Callable[[Frame, int], None],
+    *,
+    command: Sequence[str],
+    workers: int | None,
+    tell: Callable[[str], None],
+    announce: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Render `count` shards by processes of this machine, `workers` at a time, and merge them as they come.
+
+    command: renders the film; each process gets it with its shard. announce: hears first what it will take. Raises as `Job.run`.
+    """
+    check_shards(job, count)
+    cores = backend.cores()
+    workers = min(count, workers or cores)
+    command = [*command, "--threads", str(job.options.threads or max(1, cores // workers))]
+    if announce is not None:
+        announce(estimate(job, count, workers, command))
+    crew = _Crew(job, count, workers, [*command, "--shards", str(count)])
+    try:
+        run = job.run(progress, tell=tell, source=lambda: Merge(job, count, begin=crew.begin, wait=crew.wait))
+    finally:
+        crew.stop()
+    shutil.rmtree(job.out / output.SHARDS, ignore_errors=True)
+    return run
+
+
+class _Crew:
+    """The processes that render the shards of a film on this machine."""
+
+    def __init__(self, job: Job, count: int, workers: int, command: list[str]):
+        self._job, self._command, self._workers = job, command, workers
+        self._waiting = [Share(index, count) for index in range(count)]
+        self._running: dict[int, subprocess.Popen[str]] = {}
+        self._merged = 0
+
+    def begin(self, merged: int) -> None:
+        """Start the first processes; frames up to `merged` are done."""
+        self._merged = merged
+        if not self._job.options.resume:
+            shutil.rmtree(self._job.out / output.SHARDS, ignore_errors=True)
+        self._fill()
+
+    def wait(self, index: int, path: Path) -> None:
+        """Wait a moment for a piece of a shard. Raises what a shard failed with."""
+        for other, process in list(self._running.items()):
+            if process.poll() is not None:
+                del self._running[other]
+                said = process.communicate()[1]
+                if process.returncode:
+                    raise _failure(other, process.returncode, said)
+        self._fill()
+        if index not in self._running and all(share.index != index for share in self._waiting) and not path.exists():
+            _missing(index, path)
+        time.sleep(_LOOK)
+
+    def stop(self) -> None:
+        """End the processes that run."""
+        for process in self._running.values():
+            process.terminate()
+        for process in self._running.values():
+            try:
+                process.communicate(timeout=_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+
+    def _fill(self) -> None:
+        while self._waiting and len(self._running) < self._workers:
+            share = self._waiting.pop(0)
+            self._running[share.index] = subprocess.Popen(
+                [*self._command, "--quiet", "--shard", str(share.index + 1), "--merged", str(self._merged)],
+                env=os.environ | {_PARENT: str(os.getpid())},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,  # Ctrl-C is ours to pass on
+            )
+
+
+def _failure(index: int, code: int, said: str) -> TparticlesError:
+    """Return what a shard ended with: the last line that it said."""
+    lines = said.strip().splitlines()
+    last = lines[-1].removeprefix("error: ") if lines else f"it ended with code {code}"
+    kind = InputError if code == InputError.exit_code else RunError
+    return kind(f"shard {index + 1}: {last}")

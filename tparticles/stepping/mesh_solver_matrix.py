@@ -1,0 +1,228 @@
+"""The equations of an implicit stage of a spring mesh, and the symmetric positive definite matrix of a Newton step.
+
+An implicit stage looks for v with x = xbar + h v and
+
+    R(v) = m (v - vbar - h e(x, v)) + h sum_s T_s u_s = 0,    T = k (|d| - rest) + c u . (v_i - v_j),    u = d / |d|,
+
+d = x_i - x_j, e the acceleration that springs do not give. With g the tension that turns with the spring (see `mesh_solver`),
+
+    A = m (I - h de) + sum_s [(h^2 k + h c - h^2 g / |d|) u u^T + (h^2 g / |d|) I],    g = max(g, 0).
+
+The last term is what a stretched spring does across its own direction. A compressed one would push outwards there, which makes A
+indefinite, and is left out: A only steers Newton's method, the solution is where R = 0.
+
+Arrays here are component by component, (3, n), and sums over the springs of a vertex run in the order of the springs, so that
+they do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+_CG_ROUNDING = 1e-14
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the six numbers of a symmetric 3x3 block
+_BLOCK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where entry (a, b) is among them
+
+
+@dataclass(frozen=True)
+class Springs:
+    """The mesh as the solver sees it: ends (m), stiffness [N/m], damping [N s/m], rest length [m]; mass [kg] and `free` (n)."""
+
+    first: Array
+    second: Array
+    stiffness: Array
+    damping: Array
+    rest: Array
+    mass: Array
+    free: Array
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, the fixed ones too."""
+        return len(self.mass)
+
+    def differences(self, z: Array) -> Array:
+        """Return z_i - z_j of every spring, shape (3, m)."""
+        return np.stack([c[self.first] - c[self.second] for c in z])
+
+    def spread(self, pull: Array) -> Array:
+        """Return the sum over its springs of `pull` (3, m), added to the first end, taken from the second; 0 where fixed."""
+        n = self.vertex_count
+        total = [np.bincount(self.first, p, n) - np.bincount(self.second, p, n) for p in pull]
+        return np.stack(total) * self.free
+
+    def stretched(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return tension T [N] and length |d| [m], shape (m,), and direction u, shape (3, m), which is 0 at length 0."""
+        d = self.differences(x)
+        length = np.sqrt(np.einsum("cs,cs->s", d, d))
+        u = d / np.where(length > 0.0, length, 1.0)
+        tension = self.stiffness * (length - self.rest)
+        if self.damping.any():
+            tension += self.damping * np.einsum("cs,cs->s", u, self.differences(v))
+        return tension, length, u
+
+    def elastic(self, p: Array, tension: Array, length: Array, u: Array) -> Array:
+        """Return -K p (3, n), K the derivative of the springs' forces by position, compressed springs as in A."""
+        across = np.maximum(tension, 0.0) / np.where(length > 0.0, length, np.inf)
+        d = self.differences(p)
+        return self.spread((self.stiffness - across) * np.einsum("cs,cs->s", u, d) * u + across * d)
+
+    def stiffness_over_step(self, h: float) -> Array:
+        """Return h k + c [N s/m]: how much tension a velocity along the spring makes within the step, shape (m,)."""
+        return h * self.stiffness + self.damping
+
+    def fastest(self, h: float) -> float:
+        """Return an upper bound, by Gershgorin's rows, of h omega: `sqrt(h^2 k + h c)` over the mass of a vertex."""
+        row = 2.0 * h * self.stiffness_over_step(h)
+        n = self.vertex_count
+        total = (np.bincount(self.first, row, n) + np.bincount(self.second, row, n)) / self.mass
+        return float(np.sqrt(total[self.free].max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class StepMatrix:
+    """A of one Newton step, six numbers a block: per spring (6, m), per vertex without its springs and with them (6, n)."""
+
+    springs: Springs
+    links: Array
+    own: Array
+    diagonal: Array
+
+    @classmethod
+    def assemble(
+        cls, springs: Springs, h: float, turning: Array, length: Array, u: Array, extra: Array | None
+    ) -> StepMatrix:
+        """Build A from the tension that turns with each spring; `extra` (6, n) is -h m de, positive semi-definite."""
+        across = h * h * np.maximum(turning, 0.0) / np.where(length > 0.0, length, np.inf)
+        along = h * springs.stiffness_over_step(h) - across
+        links = np.stack([along * u[a] * u[b] for a, b in _PAIRS])
+        links[:3] += across
+        n = springs.vertex_count
+        own = np.zeros((6, n)) if extra is None else extra.copy()
+        own[:3] += springs.mass
+        sums = [np.bincount(springs.first, b, n) + np.bincount(springs.second, b, n) for b in links]
+        return cls(springs, links, own, own + np.stack(sums))
+
+    def __matmul__(self, p: Array) -> Array:
+        """Return A p, both (3, n), for p that is 0 at fixed vertices."""
+        return (
+            self.springs.spread(_times(self.links, self.springs.differences(p)))
+            + _times(self.own, p) * self.springs.free
+        )
+
+    def inverse_diagonal(self) -> Array:
+        """Return the inverse of the blocks on the diagonal (6, n): the block-Jacobi preconditioner."""
+        inverse = np.linalg.inv(np.moveaxis(self.diagonal[_BLOCK], -1, 0))
+        return np.stack([inverse[:, a, b] for a, b in _PAIRS])
+
+
+def _times(blocks: Array, p: Array) -> Array:
+    return np.stack([np.einsum("cn,cn->n", blocks[_BLOCK[a]], p) for a in range(3)])
+
+
+def conjugate_gradients(
+    matrix: StepMatrix, b: Array, *, tolerance: float, left: Array, limit: int
+) -> tuple[Array, int]:
+    """Return y of A y = b, both (3, n), and the iterations; block-Jacobi preconditioned.
+
+    It ends where the remainder is `tolerance` of the right-hand side, and at every vertex at most `left` (n), or all that rounding
+    allows. The right-hand side must be 0 at fixed vertices. Sums are numpy's pairwise ones, the same for any number of threads.
+    """
+    inverse = matrix.inverse_diagonal()
+    y, r = np.zeros_like(b), b.copy()
+    z = _times(inverse, r)
+    p, rz = z.copy(), float((r * z).sum())
+    goal, floor = tolerance**2 * rz, _CG_ROUNDING**2 * rz
+    for iteration in range(limit):
+        if not rz > floor or (rz <= goal and (np.abs(r) <= left).all()):  # done, or not a number
+            return y, iteration
+        q = matrix @ p
+        step = rz / float((p * q).sum())
+        y += step * p
+        r -= step * q
+        z = _times(inverse, r)
+        rz, before = float((r * z).sum()), rz
+        p = z + (rz / before) * p
+    return y, limit
+
+
+def acceleration_blocks(
+    acceleration: Callable[[Array, Array], Array], x: Array, v: Array, h: float, springs: Springs, step: float
+) -> Array | None:
+    """Return the positive semi-definite part of -h m de/dv (6, n), x and v moving together, by differences; None where it is 0.
+
+    An acceleration of a vertex is taken to depend on that vertex alone, as wind, drag and gravity do.
+    """
+    base = acceleration(x, v)
+    if not np.isfinite(base).all():
+        return None
+    columns = []
+    for axis in range(3):
+        change = np.zeros((3, 1))
+        change[axis] = step
+        columns.append((acceleration(x + h * change, v + change) - base) / step)
+    jacobian = np.stack(columns, 1)  # (3, 3, n): component, axis
+    blocks = -0.5 * h * springs.mass * np.stack([jacobian[a, b] + jacobian[b, a] for a, b in _PAIRS])
+    if not blocks.any():
+        return None
+    if (blocks[:3] - np.abs(blocks[[3, 3, 4]]) - np.abs(blocks[[4, 5, 5]]) < 0.0).any():
+        values, vectors = np.linalg.eigh(np.moveaxis(blocks[_BLOCK], -1, 0))
+        full = np.einsum("nak,nk,nbk->abn", vectors, np.maximum(values, 0.0), vectors)
+        blocks = np.stack([full[a, b] for a, b in _PAIRS])
+    return blocks
+
+
+class UpperPattern:
+    """Upper triangle of A over the free vertices as compressed rows: the places are found once, values filled at each step."""
+
+    def __init__(self, springs: Springs):
+        self._free = np.flatnonzero(springs.free)
+        n = len(self._free)
+        number = np.full(springs.vertex_count, -1)
+        number[self._free] = np.arange(n)
+        ends = np.sort(np.stack([number[springs.first], number[springs.second]]), axis=0)
+        self._linked = np.flatnonzero(ends[0] >= 0)
+        key, self._pair = np.unique(ends[0, self._linked] * n + ends[1, self._linked], return_inverse=True)
+        self._alone = len(key) == len(self._linked)
+        row, column = key // n, key % n
+        degree = np.bincount(row, minlength=n)
+        lengths = 3 * degree[:, None] + np.array([3, 2, 1])
+        self.starts = np.concatenate([[0], np.cumsum(lengths.ravel())]).astype(np.int32)
+        rank = np.arange(len(key)) - (np.cumsum(degree) - degree)[row]
+        start = self.starts[:-1].reshape(n, 3)
+        self._diagonal_places = [(start[:, a] + b - a, k) for k, (a, b) in enumerate(_PAIRS)]
+        # Row (i, a) begins with its 3 - a entries of the diagonal block.
+        self._link_places = [(start[row, a] + (3 - a) + 3 * rank + b, _BLOCK[a, b]) for a in range(3) for b in range(3)]
+        self.columns = np.empty(self.starts[-1], np.int32)
+        for (places, _), (_, b) in zip(self._diagonal_places, _PAIRS, strict=True):
+            self.columns[places] = 3 * np.arange(n) + b
+        for b in range(3):
+            for places, _ in self._link_places[b::3]:
+                self.columns[places] = 3 * column + b
+
+    def values(self, matrix: StepMatrix) -> Array:
+        """Return the numbers of A in the order of `columns`."""
+        values = np.empty(len(self.columns))
+        for places, k in self._diagonal_places:
+            values[places] = matrix.diagonal[k, self._free]
+        for places, k in self._link_places:
+            block = matrix.links[k, self._linked]
+            if self._alone:
+                values[places[self._pair]] = -block
+            else:  # two springs between the same vertices
+                values[places] = -np.bincount(self._pair, block, len(places))
+        return values
+
+    def pack(self, r: Array) -> Array:
+        """Return (3, n) as the unknowns of the free vertices, one after the other."""
+        return np.ascontiguousarray(r[:, self._free].T).ravel()
+
+    def unpack(self, y: Array, n: int) -> Array:
+        """Return the unknowns as (3, n), 0 at fixed vertices."""
+        r = np.zeros((3, n))
+        r[:, self._free] = y.reshape(-1, 3).T
+        return r
