@@ -24,7 +24,7 @@ from .batch.commands import COMMANDS as BATCH_COMMANDS
 from .command_options import JSON, PRECISION, QUALITY, SET, print_json, stdout_kept
 from .data_scene.commands import schema
 from .errors import InputError, TparticlesError
-from .log.commands import replay
+from .log.commands import export, plot, replay
 from .regression.commands import check, compare
 from .render_command import render
 from .studies.commands import study
@@ -258,6 +258,8 @@ cli.add_command(check)
 cli.add_command(compare)
 cli.add_command(render)
 cli.add_command(replay)
+cli.add_command(plot)
+cli.add_command(export)
 cli.add_command(schema)
 cli.add_command(study)
 for command in BATCH_COMMANDS:

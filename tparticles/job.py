@@ -282,6 +282,7 @@ def _check(options: Options) -> None:
         ("quality", options.quality, QUALITIES),
         ("arch", options.arch, get_args(Arch)),
         ("precision", options.precision, get_args(Precision)),
+        ("value of --existing", options.existing, output.EXISTING),
     ):
         if value not in allowed:
             raise unknown(kind, value, allowed)

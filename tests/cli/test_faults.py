@@ -132,10 +132,10 @@ def test_results_that_cannot_be_written_are_an_error() -> None:
 def test_a_bug_keeps_its_traceback_and_is_json_too(run: Run, monkeypatch) -> None:
     from tparticles import library
 
-    def broken() -> list[str]:
+    def broken() -> list[library.Outline]:
         raise AssertionError("what cannot be")
 
-    monkeypatch.setattr(library, "names", broken)
+    monkeypatch.setattr(library, "outlines", broken)
     result = run("list", "--json")
     assert result.json == {
         "status": "failed",

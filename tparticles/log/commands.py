@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from ..command_options import SET, size_option, stdout_kept
-from ..errors import InputError
+from ..errors import InputError, unknown
 
 _EXISTING = click.option(
     "--existing", metavar="error|overwrite", default="error", show_default=True, help="Where FILE exists."
@@ -114,3 +114,75 @@ def replay(
         click.echo(
             f"{len(times)} picture{'' if len(times) == 1 else 's'}, t = {times[0]:.6g} to {times[-1]:.6g} s: {path}"
         )
+
+
+@click.command()
+@click.argument("log")
+@click.option("--of", "names", metavar="NAME,...", default="energy", show_default=True, help="energy, x, v, a, force, speed, T.")
+@click.option("--ids", metavar="0-9,20", default="0", show_default=True, help="Of which vertices, or particles.")
+@click.option("--group", metavar="NAME", help="Of which group (default: the first mesh).")
+@click.option("--range", "steps", metavar="A-B", help="These steps only; frames, of particles (default: all).")
+@click.option("--out", metavar="FILE", help="A .png, .svg or .pdf (default: beside LOG).")
+@_EXISTING
+@click.option("--quiet", is_flag=True, help="No summary.")
+def plot(
+    log: str, *, names: str, ids: str, group: str | None, steps: str | None, out: str | None, existing: str, quiet: bool
+) -> None:
+    """Draw graphs of LOG over time.
+
+    Energies [J] are of the whole mesh; the others are of the vertices or particles --ids. The force is what a vertex feels in all:
+    springs, laws and contact.
+    """
+    wanted = [name.strip() for name in names.split(",")]
+    path = _free(Path(out) if out else Path(log).parent / f"{'-'.join(wanted)}.png", existing)
+    from .plot import draw
+    from .read import Log, row_range
+    from .series import series
+    from .source import numbers
+
+    with Log(Path(log)) as opened:
+        chosen = opened.group(group)
+        found = series(chosen, wanted, row_range(steps, chosen), numbers(ids))
+        draw(found, f"{opened.header['scene']}: {chosen.name}, {chosen.scheme}", path)
+    if not quiet:
+        click.echo(f"{len(found[0].time)} {chosen.unit}s of '{chosen.name}': {path}")
+
+
+@click.command()
+@click.argument("log")
+@click.option("--to", "kind", metavar="csv|npz|ply|vtu|usd", required=True, help="The format.")
+@click.option("--group", metavar="NAME", help="Which group (default: the first mesh).")
+@click.option("--range", "steps", metavar="A-B", help="These steps (frames, of particles): 100-200, 0-5000x10 (default: all).")
+@click.option("--out", metavar="FILE", help="Where to; for ply and vtu a folder (default: beside LOG, by the group's name).")
+@click.option("--changed", is_flag=True, help="usd: take colours of the scene's script though it has changed since.")
+@_EXISTING
+@click.option("--quiet", is_flag=True, help="No summary.")
+def export(
+    log: str, *, kind: str, group: str | None, steps: str | None, out: str | None, changed: bool, existing: str, quiet: bool
+) -> None:
+    """Write rows of LOG for other programs.
+
+    csv for spreadsheets (energies in a second file), npz for NumPy, vtu for ParaView (a file for each step, and a .pvd that
+    lists them), ply (a file for each step), usd for Blender and Houdini: points with ids, velocities, widths and display colours.
+    """
+    from .export import FORMATS, default_name
+
+    if kind not in FORMATS:
+        raise unknown("format", kind, FORMATS)
+    from .export import export as write_files
+    from .read import Log, row_range
+
+    with stdout_kept(), Log(Path(log)) as opened:
+        chosen = opened.group(group)
+        rows = row_range(steps, chosen)
+        path = _free(Path(out) if out else Path(log).parent / default_name(kind, chosen.name), existing)
+        if kind == "usd":
+            from .export_usd import export_usd
+            from .replay import scene_of
+
+            written = export_usd(scene_of(opened, changed=changed), chosen, rows, path)
+        else:
+            written = write_files(chosen, rows, kind, path)
+    if not quiet:
+        more = f" and {len(written) - 1} more" if len(written) > 1 else ""
+        click.echo(f"{len(rows)} {chosen.unit}{'' if len(rows) == 1 else 's'} of '{chosen.name}': {written[-1]}{more}")

@@ -18,7 +18,7 @@ NAME, UNFINISHED = "log.h5", "log.unfinished.h5"
 STATE = ("x", "v", "a")
 __all__ = ["ENERGIES", "EVENT", "FORMAT", "NAME", "STATE", "UNFINISHED", "VERSION"]
 
-_BLOCK = 8 << 20  # bytes of rows that travel together
+_BLOCK = 16 << 20  # bytes of rows that travel together
 _CHUNK = 256 << 10  # bytes of a quantity that are compressed together
 _MOST_ROWS = 4096
 _EVENTS = 4096  # contacts with a block of rows, at least

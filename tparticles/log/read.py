@@ -14,6 +14,8 @@ import numpy as np
 from ..errors import InputError, unknown
 from . import layout
 
+_ROWS = 256  # read at once
+
 
 @dataclass(frozen=True)
 class State:
@@ -82,9 +84,10 @@ class MeshLog:
         x, v, a = (self._group[name][row].T for name in layout.STATE)
         return State(int(self.step[row]), float(self.time[row]), x, v, a, {})
 
-    def series(self, name: str, rows: slice | np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return x, v or a of some vertices (places in `ids`, rising) over some rows, shape (rows, vertices, 3)."""
-        return np.moveaxis(self._group[name][rows, :, places], 1, 2)
+    def series(self, name: str, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return x, v or a of some vertices (places in `ids`) over some rows, which rise, shape (rows, vertices, 3)."""
+        found = [self._group[name][part][:, :, places] for part in np.array_split(rows, -(-len(rows) // _ROWS))]
+        return np.moveaxis(np.concatenate(found), 1, 2)
 
     def at(self, t: float) -> State:
         """Return the state at time `t` [s]: a row, or between two of them the cubic through both ends."""

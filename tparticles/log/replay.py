@@ -18,6 +18,7 @@ from ..frame import FrameReport
 from ..job import Job, Options
 from ..mesh_motion import MeshMotion
 from ..output.files import atomic_file, reason
+from ..scene import Scene
 from ..simulation import Simulation
 from ..spec import Vec3
 from .read import Log, MeshLog, ParticleLog, State, row_range
@@ -108,7 +109,12 @@ def _job(log: Log, view: View) -> Job:
     return job
 
 
-def _check_mesh(logged: MeshLog, scene: Any) -> None:
+def scene_of(log: Log, *, changed: bool = False) -> Scene:
+    """Return the scene that a log is of. Raises InputError as `Replay`."""
+    return _job(log, View(changed=changed)).scene
+
+
+def _check_mesh(logged: MeshLog, scene: Scene) -> None:
     """Refuse a log that cannot be drawn with the scene."""
     spec = next((group for group in scene.meshes if group.name == logged.name), None)
     if spec is None:

@@ -21,7 +21,7 @@ from ..errors import RunError
 from ..stepping.rows import Rows
 from . import layout, writer
 
-_BLOCKS = 4  # of each mesh: one is filled while the others are written
+_BLOCKS = 3  # of each mesh: one is filled while the others are written
 _IN_MEMORY = "/dev/shm"
 _PACKAGES = str(Path(__file__).parents[2])
 

@@ -1,4 +1,4 @@
-"""The process that writes a log. It ends when whoever runs the simulation ends, in whatever way, with all that it was given on the disk.
+"""The process that writes a log. It ends when the simulation ends, in whatever way, with all that it was given on the disk.
 
 The file is written for readers that open it meanwhile (HDF5's SWMR): at any moment, what was flushed last can be read.
 """

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from .base import Null, OutputFrame, Tee, Writer, pixel_hash
 from .ffmpeg import check_ffmpeg
-from .folder import CHECKPOINTS, SHARDS, claim_folder, held_folder
+from .folder import CHECKPOINTS, EXISTING, SHARDS, claim_folder, held_folder
 from .lock import FolderBusyError
 from .manifest import Manifest, jsonable, read_manifest
 from .mp4 import Mp4, check_film
@@ -18,6 +18,7 @@ from .states import States
 
 __all__ = [
     "CHECKPOINTS",
+    "EXISTING",
     "SHARDS",
     "FolderBusyError",
     "FrameRecord",

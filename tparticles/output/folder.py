@@ -15,7 +15,7 @@ from .lock import LOCK_NAME, locked
 from .manifest import MANIFEST_NAME, read_manifest
 
 CHECKPOINTS, SHARDS = "checkpoint", "shards"  # folders of what an unfinished run needs
-_EXISTING = ("error", "overwrite")
+EXISTING = ("error", "overwrite")
 
 
 @contextmanager
@@ -52,8 +52,8 @@ def claim_folder(path: str | Path, *, scene: str, identity: str, existing: str =
     Raises InputError with the reason and the way out.
     """
     path = Path(path)
-    if existing not in _EXISTING:
-        raise unknown("value of --existing", existing, _EXISTING)
+    if existing not in EXISTING:
+        raise unknown("value of --existing", existing, EXISTING)
     if not scene or scene in (".", "..") or re.search(r"[/\\\0]", scene):
         raise InputError(f"scene name {scene!r} cannot name a file")
     if "\0" in str(path):

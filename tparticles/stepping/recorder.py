@@ -1,4 +1,4 @@
-"""What a mesh does, step by step, copied out while it runs: states, slopes, energies and contacts, into memory that a sink provides.
+"""What a mesh does, step by step, copied out while it runs: states, slopes, energies and contacts, into memory of a sink.
 
 A row is the state at the beginning of a step with the slope there, which the scheme works out anyhow where its program begins with
 it: then recording costs a copy. Where it does not, a slope is evaluated for the row alone.

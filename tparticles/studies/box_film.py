@@ -123,7 +123,7 @@ def _pictures(paths: Array) -> Iterator[Array]:
                     Wires(by="strain", colors=_STRAIN, low=-0.5, high=0.5, width=0.16, dot=0.45),
                 ),
             ),
-            camera=Camera(position=tuple(middle + [0.0, -away, 0.0]), target=tuple(middle), fov=fov),
+            camera=Camera(position=tuple(middle - np.array([0.0, away, 0.0])), target=tuple(middle), fov=fov),
             background=Gradient(top=(0.02, 0.025, 0.04), bottom=(0.03, 0.03, 0.04)),
             size=(columns * CELL, rows * CELL),
             shutter=0.0,
