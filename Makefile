@@ -23,9 +23,10 @@ bench: $(VENV)/.installed-bench
 
 # The stills that the README shows.
 gallery: $(VENV)/.installed
-	for still in campfire-140 grinder-60 swirl-48; do \
-	    scene=$${still%-*}; frame=$${still#*-}; \
-	    $(BIN)/tparticles render scenes/$$scene.py --quality draft --frames $$frame --no-mp4 --quiet \
+	for still in campfire-140-960x540 grinder-60-960x540 swirl-48-960x540 spring_box-30-640x360 cloth_drop-60-640x360 \
+	        flag-42-640x360 jelly-30-640x360 rope_bridge-36-640x360; do \
+	    size=$${still##*-}; rest=$${still%-*}; scene=$${rest%-*}; frame=$${rest#*-}; \
+	    $(BIN)/tparticles render scenes/$$scene.py --quality draft --size $$size --frames $$frame --no-mp4 --quiet \
 	        --out renders/gallery/$$scene --existing overwrite && \
 	    cp renders/gallery/$$scene/frames/*$$frame.png renders/reference/$$scene.png || exit 1; \
 	done

@@ -48,7 +48,7 @@ def scene(
             size=tp.Spread(mean=0.0022, variance=0.001),
             preroll=1.0,
         ),
-        cooling=tp.Exponential(time=1.1, ambient=293.0),
+        cooling=tp.Exponential(time=2.0, ambient=293.0),
         region=tp.Box(low=(-4.0, -4.0, 0.0), high=(4.0, 4.0, 4.0)),
     )
     return tp.Scene(

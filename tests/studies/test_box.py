@@ -69,8 +69,10 @@ def test_a_drop_is_the_same_again_and_squeezed_by_its_energy():
 
 @pytest.fixture(scope="module")
 def found():
-    """The study of three schemes, one drop each."""
-    return {b.scheme: b for b in box.study([schemes.get(n) for n in ("velocity-verlet", "rk4")], drops=1).boxes}
+    """The study of two schemes, one drop each."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(box, "VARIED", ())
+        return {b.scheme: b for b in box.study([schemes.get(n) for n in ("velocity-verlet", "rk4")], drops=1).boxes}
 
 
 @pytest.mark.parametrize("name", ["velocity-verlet", "rk4"])
@@ -156,6 +158,7 @@ def test_the_film_shows_every_scheme(tmp_path, monkeypatch):
     "options, message",
     [
         (["--film", "10", "--scheme", "yoshida4"], "yoshida4"),
+        (["--scheme", "yoshida4"], "yoshida4"),
         (["--film", "10", "--json"], "--film"),
         (["--seeds", "0"], "--seeds"),
     ],

@@ -15,7 +15,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, cached_property
@@ -333,8 +333,10 @@ def check_vertices(arguments: Mapping[str, Any]) -> None:
         InputError: more than `_MOST_VERTICES`.
     """
     counts = arguments.get("counts", (arguments.get("count", 1),))
-    if math.prod(counts) > _MOST_VERTICES:
-        raise InputError(f"{math.prod(counts)} vertices, at most {_MOST_VERTICES} are allowed")
+    # what is no list of numbers is for the builder to refuse
+    total = math.prod(n for n in counts if isinstance(n, int | float)) if isinstance(counts, Sequence) else 0
+    if total > _MOST_VERTICES:
+        raise InputError(f"{total:g} vertices, at most {_MOST_VERTICES} are allowed")
 
 
 # What the arguments of a table are held against before anything is made of them.

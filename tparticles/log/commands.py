@@ -118,7 +118,9 @@ def replay(
 
 @click.command()
 @click.argument("log")
-@click.option("--of", "names", metavar="NAME,...", default="energy", show_default=True, help="energy, x, v, a, force, speed, T.")
+@click.option(
+    "--of", "names", metavar="NAME,...", default="energy", show_default=True, help="energy, x, v, a, force, speed, T."
+)
 @click.option("--ids", metavar="0-9,20", default="0", show_default=True, help="Of which vertices, or particles.")
 @click.option("--group", metavar="NAME", help="Of which group (default: the first mesh).")
 @click.option("--range", "steps", metavar="A-B", help="These steps only; frames, of particles (default: all).")
@@ -152,13 +154,25 @@ def plot(
 @click.argument("log")
 @click.option("--to", "kind", metavar="csv|npz|ply|vtu|usd", required=True, help="The format.")
 @click.option("--group", metavar="NAME", help="Which group (default: the first mesh).")
-@click.option("--range", "steps", metavar="A-B", help="These steps (frames, of particles): 100-200, 0-5000x10 (default: all).")
-@click.option("--out", metavar="FILE", help="Where to; for ply and vtu a folder (default: beside LOG, by the group's name).")
+@click.option(
+    "--range", "steps", metavar="A-B", help="These steps (frames, of particles): 100-200, 0-5000x10 (default: all)."
+)
+@click.option(
+    "--out", metavar="FILE", help="Where to; for ply and vtu a folder (default: beside LOG, by the group's name)."
+)
 @click.option("--changed", is_flag=True, help="usd: take colours of the scene's script though it has changed since.")
 @_EXISTING
 @click.option("--quiet", is_flag=True, help="No summary.")
 def export(
-    log: str, *, kind: str, group: str | None, steps: str | None, out: str | None, changed: bool, existing: str, quiet: bool
+    log: str,
+    *,
+    kind: str,
+    group: str | None,
+    steps: str | None,
+    out: str | None,
+    changed: bool,
+    existing: str,
+    quiet: bool,
 ) -> None:
     """Write rows of LOG for other programs.
 

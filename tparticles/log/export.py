@@ -73,7 +73,9 @@ def _npz(group: MeshLog | ParticleLog, rows: np.ndarray, _kind: str, path: Path)
     """All arrays; of particles those of all frames one after the other, `count` of each frame."""
     if isinstance(group, MeshLog):
         if 36 * len(rows) * len(group.ids) > _BYTES:
-            raise InputError(f"{len(rows)} steps of {len(group.ids)} vertices are too much for one npz: give fewer, by --range")
+            raise InputError(
+                f"{len(rows)} steps of {len(group.ids)} vertices are too much for one npz: give fewer, by --range"
+            )
         of = {s.name: s.values for s in series(group, layout.STATE, rows, group.ids.tolist())}
         arrays = {"step": group.step[rows], "time": group.time[rows], "dt": group.dt[rows], "id": group.ids, **of}
         arrays |= {"mass": group.mass, "energy": group.energy[rows], "contacts": group.contacts, **group.springs}
@@ -102,7 +104,9 @@ def _meshes(group: MeshLog | ParticleLog, rows: np.ndarray, kind: str, path: Pat
                 data["force"] = group.mass[:, None] * state.a
             data = {name: np.ascontiguousarray(values) for name, values in data.items() if values is not None}
         else:
-            data = {"id": ids.astype(np.int32)} | {n: np.float32(c) for n, c in columns.items() if n not in ("x", "y", "z")}
+            data = {"id": ids.astype(np.int32)} | {
+                n: np.float32(c) for n, c in columns.items() if n not in ("x", "y", "z")
+            }
         mesh = meshio.Mesh(np.ascontiguousarray(state.x), _cells(group, len(state.x), kind), point_data=data)
         file = path / f"{group.unit}-{state.step:06d}.{kind}"
         # under a temporary name, which keeps the suffix that meshio goes by

@@ -61,7 +61,9 @@ def export_usd(scene: Any, group: MeshLog | ParticleLog, rows: np.ndarray, path:
                 points.CreateVelocitiesAttr().Set(_vectors(Vt, state.v), code)
             if state.a is not None:
                 points.CreateAccelerationsAttr().Set(_vectors(Vt, state.a), code)
-            points.CreateExtentAttr().Set(UsdGeom.Points.ComputeExtent(*_boxed(Vt, state.x, widths(spec, group, state))), code)
+            points.CreateExtentAttr().Set(
+                UsdGeom.Points.ComputeExtent(*_boxed(Vt, state.x, widths(spec, group, state))), code
+            )
         points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         stage.GetRootLayer().Save()
         del stage

@@ -34,7 +34,9 @@ def draw(found: Sequence[Series], title: str, path: Path) -> None:
         figure = _figure(found, title)
         try:
             with atomic_file(path) as file:
-                metadata = {"Software": None} if path.suffix == ".png" else {"Date": None} if path.suffix == ".svg" else None
+                metadata = (
+                    {"Software": None} if path.suffix == ".png" else {"Date": None} if path.suffix == ".svg" else None
+                )
                 figure.savefig(file, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
         except OSError as error:
             raise RunError(f"cannot write {path}: {reason(error)}") from error

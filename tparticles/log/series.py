@@ -35,9 +35,13 @@ def series(group: MeshLog | ParticleLog, names: Sequence[str], rows: np.ndarray,
     known = quantities(group)
     for name in names:
         if name not in known:
-            raise unknown(f"quantity of {'mesh' if isinstance(group, MeshLog) else 'group'} '{group.name}'", name, known)
+            raise unknown(
+                f"quantity of {'mesh' if isinstance(group, MeshLog) else 'group'} '{group.name}'", name, known
+            )
     if 24 * len(rows) * len(ids) * len(names) > _BYTES:
-        raise InputError(f"{len(rows)} {group.unit}s of {len(ids)} ids are too much at once: give fewer, by --range or --ids")
+        raise InputError(
+            f"{len(rows)} {group.unit}s of {len(ids)} ids are too much at once: give fewer, by --range or --ids"
+        )
     find = _mesh if isinstance(group, MeshLog) else _particles
     return [find(group, name, rows, ids) for name in names]  # type: ignore[arg-type]
 
@@ -46,7 +50,9 @@ def quantities(group: MeshLog | ParticleLog) -> tuple[str, ...]:
     """Return the names of what there is of a group."""
     if isinstance(group, MeshLog):
         return ("energy", "x", "v", "a", "force", "speed")
-    return tuple(name for name in ("x", "v", "speed", "T") if name in group.names or (name == "speed" and "v" in group.names))
+    return tuple(
+        name for name in ("x", "v", "speed", "T") if name in group.names or (name == "speed" and "v" in group.names)
+    )
 
 
 def _mesh(group: MeshLog, name: str, rows: np.ndarray, ids: Sequence[int]) -> Series:
