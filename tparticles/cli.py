@@ -1,7 +1,7 @@
 """The command line: render, list, describe, schemes, doctor.
 
-Exit codes: 0 done, 1 failed while running, 2 bad input, 3 backend unavailable, 4 not as the reference, 130 interrupted. Results go to
-stdout, progress and errors to stderr; with --json, stdout holds one JSON document and nothing else, in failure too.
+Exit codes: 0 done, 1 failed while running, 2 bad input, 3 backend unavailable, 4 not as the reference, 130 interrupted. Results go
+to stdout, progress and errors to stderr; with --json, stdout holds one JSON document and nothing else, in failure too.
 """
 
 from __future__ import annotations

@@ -28,7 +28,6 @@ from .resume import Start, find_start, picture_check
 from .scene import QUALITIES, Scene, frame_numbers, frame_rate
 from .shoot import Source, shoot
 from .simulation import WHOLE, Frame, Share, Simulation
-from .stepping.rows import Request
 
 _BYTES_PER_PIXEL = 70  # film, tone curve and picture at their peak, as measured at 16384x16384
 _EVERY = "10s"  # between checkpoints: a shorter render makes none
@@ -252,7 +251,7 @@ class Job:
             finally:
                 check.result()  # of two errors this one is told
 
-    def simulation(self, share: Share = WHOLE, *, records: Mapping[str, Request] | None = None) -> Simulation:
+    def simulation(self, share: Share = WHOLE, *, records: Mapping[str, Any] | None = None) -> Simulation:
         """Return the simulation of all particles, or of a share of them; `records`: what to record of the meshes."""
         o = self.options
         with self.script.blamed():

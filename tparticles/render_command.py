@@ -162,6 +162,7 @@ def render(
     elif not quiet:
         places = {"mp4": job.film_path, "png": job.out / "frames", "states": job.out / "states"}
         written = [str(place) for name, place in places.items() if options[name]]
+        written += [f"{job.out}/log.h5"] if logging else []
         if index is not None:
             written = [f"{job.out}/shards/{index + 1}-of-{shards}"]
         n = len(job.frames)

@@ -2,8 +2,8 @@
 
 `python -m tests.bench log`
 
-Runs with and without a log take turns in one process; the log's writer is another one. The wall clock of the steps wants two cores to
-itself; processor time says what the run spends, and its writer, whoever else is on the machine.
+Runs with and without a log take turns in one process; the log's writer is another one. The wall clock of the steps wants two cores
+to itself; processor time says what the run spends, and its writer, whoever else is on the machine.
 """
 
 import resource

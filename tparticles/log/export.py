@@ -1,6 +1,6 @@
 """A log as files that other programs read: CSV, NumPy's npz, PLY and VTU; USD is in `export_usd`."""
 
-# pyright: reportMissingImports=false
+# pyright: reportMissingImports=false, reportArgumentType=false
 # meshio is an extra.
 
 from __future__ import annotations

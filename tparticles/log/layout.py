@@ -20,18 +20,20 @@ __all__ = ["ENERGIES", "EVENT", "FORMAT", "NAME", "STATE", "UNFINISHED", "VERSIO
 
 _BLOCK = 16 << 20  # bytes of rows that travel together
 _CHUNK = 256 << 10  # bytes of a quantity that are compressed together
-_MOST_ROWS = 4096
+_MOST_ROWS, _CHUNK_ROWS = 4096, 512
 _EVENTS = 4096  # contacts with a block of rows, at least
 
 
 def rows_per_block(vertices: int, kind: str) -> int:
     """Return how many rows of so many vertices travel together; `kind`: the type of their numbers."""
-    return max(1, min(_MOST_ROWS, _BLOCK // (9 * vertices * np.dtype(kind).itemsize)))
+    rows = max(1, min(_MOST_ROWS, _BLOCK // (9 * vertices * np.dtype(kind).itemsize)))
+    chunk = rows_per_chunk(3 * vertices, kind)
+    return rows - rows % chunk if rows > chunk else rows  # no chunk is written twice
 
 
 def rows_per_chunk(width: int, kind: str) -> int:
     """Return how many rows of so many numbers are compressed together."""
-    return max(1, min(_MOST_ROWS, _CHUNK // (width * np.dtype(kind).itemsize)))
+    return max(1, min(_CHUNK_ROWS, _CHUNK // (width * np.dtype(kind).itemsize)))
 
 
 def _parts(vertices: int, kind: str) -> dict[str, tuple[tuple[int, ...], str]]:

@@ -157,8 +157,6 @@ class LogWriter:
             code = self._end()
         if code != 0:
             raise self._broken("its writer has failed")
-        with self.path.open("rb") as file:
-            os.fsync(file.fileno())
 
     def _end(self) -> int:
         """Let the writer end; return its exit code."""

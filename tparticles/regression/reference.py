@@ -61,13 +61,14 @@ def versions() -> dict[str, str]:
     return {"tparticles": __version__} | {name: version(name) for name in ("taichi", "numpy")}
 
 
-def machine_class(arch: str) -> str:
+def machine_class(arch: str, *, solver: str = "") -> str:
     """Return the class of this machine: on one class the same version gives the same bits.
 
-    System, processor with its widest vectors (code is compiled for them), C library (for its functions), architecture of Taichi.
+    System, processor with its widest vectors (code is compiled for them), C library (for its functions), architecture of Taichi,
+    and the linear solver of implicit meshes, where there are some.
     """
     libc = "".join(platform.libc_ver())
-    parts = (sys.platform, platform.machine(), _vectors(), libc, arch)
+    parts = (sys.platform, platform.machine(), _vectors(), libc, arch, solver)
     return "-".join(part.lower() for part in parts if part)
 
 

@@ -51,6 +51,7 @@ def _render(scene: str, plan: Plan, arch: str, threads: int | None) -> tuple[She
     from ..output import pixel_hash
     from ..parameter import plain
     from ..simulation import Simulation
+    from ..stepping.mesh_solver_direct import available
     from .moments import moments
     from .reference import Shot, machine_class, versions
 
@@ -75,7 +76,9 @@ def _render(scene: str, plan: Plan, arch: str, threads: int | None) -> tuple[She
         "fps": str(built.fps),
         "seed": built.seed,
     }
-    sheet = Sheet(made_with=versions(), machine=machine_class(used), size=size, scene=facts, shots=tuple(shots))
+    stiff = any((mesh.scheme or built.scheme).implicit for mesh in built.meshes)
+    machine = machine_class(used, solver=(available() or "cg") if stiff else "")
+    sheet = Sheet(made_with=versions(), machine=machine, size=size, scene=facts, shots=tuple(shots))
     return sheet, images
 
 

@@ -23,14 +23,14 @@ from ..systems.spring_mesh import SpringMesh
 from .contact import Contact
 from .control import CLAMPS
 from .fused import StepReport
-from .mesh_solver import MeshSolver
+from .mesh_solver import MeshSolver, SolveResult
 from .recorder import UNRECORDED, Recorder
 from .stages import EVALUATE, SOLVE, Stages
 from .table import Table
 
 _SERIAL = 20_000  # vertices: below it one thread is faster than a launch for every op
 _LAUNCH = 20_000_000  # vertex-steps in a serial launch, about a second: Ctrl-C waits for it
-_CONTACT_ROUNDS = 3  # of a solution with more and more vertices held on the surfaces they would have entered
+_CONTACT_ROUNDS = 2  # of a solution with more and more vertices held on the surfaces they would have entered
 _PICTURE = 0.1  # tolerance of an implicit stage in f32, as a part of a spring: below a pixel, where a spring is some pixels long
 _HALVINGS = 10  # of a step that has no solution
 
@@ -75,7 +75,7 @@ class StagedStepper:
         self.steps_back = scheme.steps_back
         self.reuses = int(self.table.reuses(velocity_free=velocity_free and not system.damped))
         self.recorder = recorder
-        self.stages = Stages(system, self.table, contact, reuses=self.reuses, drives=self.drives, recorder=recorder)
+        self.stages = Stages(system, self.table, contact, reuses=self.reuses, drives=self.drives, record=recorder)
         self.coefficients = self.stages.coefficients
         self.serial = backend.current().is_cpu and system.count <= _SERIAL and not self.table.implicit
         self.held, self.fresh, self.last_h, self.began = 0, 0, 0.0, 0.0
@@ -271,32 +271,33 @@ class StagedStepper:
 
     def _solve(self, op: int, t: float, h: float) -> None:
         """Solve an implicit stage on the host: z = zbar + w h f(z), k = f(z)."""
-        assert self.solver
         row = self.table.ops[op]
         w = float(self.table.coefficients[op, 1]) * h
         x, v = (np.asarray(a, float) for a in self.system.read())
         at = t + float(self.table.coefficients[op, 0]) * h
-        held, vbar = None, v
-        for _ in range(_CONTACT_ROUNDS if self.contact.any else 1):
-            found = self.solver.solve(
-                x,
-                vbar,
-                w,
-                extra_acceleration=lambda x, v: self.stages.outside(x, v, at),
-                linear=bool(row[3]),
-                held=held,
-            )
-            self.iterations += np.array([found.iterations, found.linear_iterations])
-            if not found.converged:
-                raise _NoSolutionError
-            if not self.contact.any:
-                break
+        linear = bool(row[3])
+        found = self._solution(x, v, w, at, linear=linear, held=None)
+        held = np.zeros(len(x), bool)
+        for _ in range(_CONTACT_ROUNDS if self.contact.any else 0):
             inside, stopped = self.contact.stopped(found.x, found.v, at, w)
             if not inside.any():
                 break
-            held = inside if held is None else held | inside
+            held |= inside
             vbar = np.where(inside[:, None], stopped, np.where(held[:, None], found.v, v))
+            found = self._solution(x, vbar, w, at, linear=linear, held=held)
         self.stages.put(
             int(row[1]),
             *(np.ascontiguousarray(a, self.coefficients.dtype) for a in (found.x, found.v, (found.v - v) / w)),
         )
+
+    def _solution(
+        self, x: np.ndarray, v: np.ndarray, w: float, t: float, *, linear: bool, held: np.ndarray | None
+    ) -> SolveResult:
+        assert self.solver
+        found = self.solver.solve(
+            x, v, w, extra_acceleration=lambda x, v: self.stages.outside(x, v, t), linear=linear, held=held
+        )
+        self.iterations += np.array([found.iterations, found.linear_iterations])
+        if not found.converged:
+            raise _NoSolutionError
+        return found

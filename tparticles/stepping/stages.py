@@ -1,7 +1,7 @@
 """The stages of a mesh on the device: the ops of a scheme on blocks of vertices, in one launch for many steps or one at a time."""
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportOptionalMemberAccess=false
 
 import numpy as np
 import taichi as ti
@@ -32,18 +32,11 @@ class Stages:
         contact: the mesh's colliders.
         reuses: 1 if the last slope of a step is the first of the next.
         drives: whether there are vertices that follow a path.
-        recorder: records the steps.
+        record: records the steps.
     """
 
     def __init__(
-        self,
-        system: SpringMesh,
-        table: Table,
-        contact: Contact,
-        *,
-        reuses: int,
-        drives: bool,
-        recorder: Recorder | None,
+        self, system: SpringMesh, table: Table, contact: Contact, *, reuses: int, drives: bool, record: Recorder | None
     ):
         self.system, self.table, self.contact = system, table, contact
         self.reuses, self.drives = reuses, drives
@@ -53,7 +46,7 @@ class Stages:
             np.float64 if backend.current().precision == "f64" else np.float32
         )
         self.layout = {"z": 6, "f": 3, "a": 3, "u": 3} | ({"e": 1} if system.tallies else {})
-        self.recorder, self.records = recorder, recorder is not None
+        self.recorder, self.records = record, record is not None
         # What nobody reads is not written: the state a step began with, the part v of a slope.
         self.moves = bool({_COMBINE, SOLVE} & table.kinds)
         self.remembers = self.moves or _DIFFERENCE in table.kinds or contact.any
@@ -333,12 +326,7 @@ class Stages:
 
     @ti.kernel
     def finish(
-        self,
-        t: float,
-        h: float,
-        values: ti.types.ndarray(ndim=1),
-        after: float,
-        met_at: ti.types.ndarray(dtype=ti.f64, ndim=2),
+        self, t: float, h: float, values: ti.types.ndarray(ndim=1), after: float, met_at: ti.types.ndarray(ndim=2)
     ) -> ti.i32:
         """End a step: contacts and tears. Return how many vertices bounced."""
         ti.static(self.system.parameters.read_from(values))

@@ -52,7 +52,7 @@ def index(result: BoxStudy) -> Any:
         ax.bar_label(bars, [f"{values[names[i]]:.3g}" for i in at], fontsize=8, rotation=90, padding=3)
     ax.set_xticks(range(len(names)), names, rotation=40, ha="right")
     ax.margins(y=0.2)
-    ax.set_ylabel("stiffness over time,\nvelocity Verlet = 1")
+    ax.set_ylabel("stiffness over time, relative")
     ax.set_title("Performance index")
-    ax.legend(frameon=False, loc="upper left")
+    ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.3), ncols=2)
     return fig
