@@ -14,13 +14,14 @@ from .physics.colliders import Surface
 from .physics.forces import Gravity
 from .physics.law import ForceLike
 from .physics.mesh import Mesh
-from .physics.mesh_rates import largest_rates
+from .physics.mesh_rates import estimated_rates, largest_rates
 from .render.wires import Wires
 from .schemes import Scheme
 from .spec import NonNegative, Positive, spec
 from .stepping.control import Clamp, Fixed, StabilityLimit
 from .track import Track
 
+_MANY = 500_000  # springs: beyond it the proven bound is taken; it is quicker, and its step up to 1.4 times smaller
 _MODES = np.geomspace(1.0, 1e-3, 13)  # of the largest frequency, where the stability limit is looked up
 Guard = Literal["error", "halve", "kill"]
 
@@ -78,6 +79,18 @@ class MeshGroup:
         if self.scheme is not None:
             self.check_scheme(self.scheme)
 
+    def check_steps(self, steps: Any) -> None:
+        """Refuse a controller by which particles choose their own steps.
+
+        Raises:
+            InputError: it is neither `Fixed` nor `StabilityLimit`.
+        """
+        if not isinstance(steps, Fixed | StabilityLimit):
+            raise InputError(
+                f"group '{self.name}': a mesh steps as a whole, by Fixed or StabilityLimit, not {type(steps).__name__}; "
+                "give MeshGroup.steps"
+            )
+
     def check_scheme(self, scheme: Scheme) -> None:
         """Refuse a scheme that cannot run this mesh, before any kernel.
 
@@ -99,7 +112,7 @@ class MeshGroup:
         Damping along the springs goes with their stiffness: a mode of frequency w has the damping ratio zeta w / w_max, if the
         stiffest one has zeta.
         """
-        rates = largest_rates(self.mesh)
+        rates = largest_rates(self.mesh) if self.mesh.spring_count > _MANY else estimated_rates(self.mesh)
         if rates.frequency == 0:
             return math.inf
         zeta = rates.damping / (2 * rates.frequency)

@@ -101,11 +101,7 @@ class MeshMotion:
         self.scheme = spec.scheme or scheme
         spec.check_scheme(self.scheme)
         steps = spec.steps or steps
-        if not isinstance(steps, Fixed | StabilityLimit):
-            raise InputError(
-                f"group '{spec.name}': a mesh steps as a whole, by Fixed or StabilityLimit, not {type(steps).__name__}; "
-                "give MeshGroup.steps"
-            )
+        spec.check_steps(steps)
         self.stable = spec.stable_step(self.scheme)
         self.dt = self._step(steps, frame)
         recorded = record is not None

@@ -179,6 +179,7 @@ class Scene:
             _check_scheme(self.scheme, group)
         for group in self.meshes:
             scheme = group.scheme or self.scheme
+            group.check_steps(group.steps or self.steps)
             group.check_scheme(scheme)
             check_fit(group.steps or self.steps, group.clamp or self.clamp, scheme)
         if self.particles:

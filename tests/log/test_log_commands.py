@@ -272,4 +272,5 @@ def test_blender_opens_the_points(run, logged: Film, tmp_path: Path):
     bpy.ops.wm.usd_import(filepath=str(path))
     found = bpy.data.objects["box"]
     assert found.type in ("POINTCLOUD", "MESH")
-    assert {"velocity", "id", "displayColor"} <= set(found.data.attributes.keys())
+    assert {"velocity", "id", "displayColor", "radius"} <= set(found.data.attributes.keys())
+    assert len(found.data.attributes["position"].data) == 8

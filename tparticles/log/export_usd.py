@@ -48,6 +48,8 @@ def export_usd(scene: Any, group: MeshLog | ParticleLog, rows: np.ndarray, path:
         points = UsdGeom.Points.Define(stage, Sdf.Path("/" + (name if not name[:1].isdigit() else f"_{name}")))
         stage.SetDefaultPrim(points.GetPrim())
         color = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        # once more as a primvar: Blender passes over the ids proper
+        id_ = UsdGeom.PrimvarsAPI(points).CreatePrimvar("id", Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.vertex)
         spec = next(g for g in scene.groups if g.name == group.name)
         for row in rows:
             state = group.state(int(row))
@@ -55,6 +57,7 @@ def export_usd(scene: Any, group: MeshLog | ParticleLog, rows: np.ndarray, path:
             ids = group.ids if isinstance(group, MeshLog) else state.columns["id"][:, 0]
             points.CreatePointsAttr().Set(_vectors(Vt, state.x), code)
             points.CreateIdsAttr().Set(Vt.Int64Array.FromNumpy(ids.astype(np.int64)), code)
+            id_.Set(Vt.IntArray.FromNumpy(ids.astype(np.int32)), code)
             points.CreateWidthsAttr().Set(Vt.FloatArray.FromNumpy(widths(spec, group, state).astype(np.float32)), code)
             color.Set(_vectors(Vt, colors(spec, scene.look, group, state)), code)
             if state.v is not None:

@@ -17,7 +17,7 @@ from . import box_command, precision_command
 @click.group(invoke_without_command=True)
 @click.pass_context
 def study(context: click.Context) -> None:
-    """Measure the schemes: order, stability, energy, unequal steps.
+    """Measure the schemes: order, stability, energy, unequal steps, precision, the spring box.
 
     Each study writes DIR/NAME.json, DIR/NAME.csv and, where matplotlib is installed (pip install 'tparticles[studies]'),
     pictures DIR/NAME*.png. Results of the same study in DIR are replaced.
