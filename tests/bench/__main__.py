@@ -18,6 +18,7 @@ BENCHES = (
     "shards",
     "log",
     "implicit",
+    "mesh",
 )
 
 if __name__ == "__main__":
