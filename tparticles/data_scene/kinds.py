@@ -336,7 +336,7 @@ def check_vertices(arguments: Mapping[str, Any]) -> None:
     # what is no list of numbers is for the builder to refuse
     total = math.prod(n for n in counts if isinstance(n, int | float)) if isinstance(counts, Sequence) else 0
     if total > _MOST_VERTICES:
-        raise InputError(f"{total:g} vertices, at most {_MOST_VERTICES} are allowed")
+        raise InputError(f"{total} vertices, at most {_MOST_VERTICES} are allowed")
 
 
 # What the arguments of a table are held against before anything is made of them.
