@@ -9,7 +9,8 @@ campfire: $(VENV)/.installed
 	$(BIN)/tparticles render scenes/campfire.py --out renders/campfire --existing overwrite
 
 test: lint types
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not serial" --numprocesses 2 --dist loadfile
+	$(BIN)/python -m pytest -m serial
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -27,6 +27,10 @@ from tparticles.output import (
     pixel_hash,
 )
 
+pytestmark = (
+    pytest.mark.serial
+)  # Ctrl-C reaches the main thread of a process, which a worker of pytest-xdist keeps for itself
+
 
 class Recorder:
     """A writer that keeps what it was told; `gate` holds writes up, `fails_at` breaks one."""

@@ -7,6 +7,8 @@ from check_scenes import picture
 from tparticles.output import encode_png
 from tparticles.regression import check, single  # noqa: F401  # or each pytest of a test would import them anew
 
+pytestmark = pytest.mark.serial  # pytest inside pytest
+
 pytest_plugins = "pytester"
 
 # Hypothesis would be imported anew, and rewritten, by each pytest.
