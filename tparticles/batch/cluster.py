@@ -45,7 +45,7 @@ class Cluster:
             raise InputError("--dask needs Dask: pip install 'tparticles[cluster]'") from None
         if urlsplit(address).scheme not in ("tcp", "tls", "ws", "wss", "ucx") or not urlsplit(address).netloc:
             raise InputError(f"--dask {address}: an address such as tcp://scheduler:8786 is needed")
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it we say ourselves
+        _silence()
         try:
             self._client: Any = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
@@ -124,6 +124,14 @@ class Cluster:
         with contextlib.suppress(Exception):
             self._client.close(timeout=_CONNECT)
         return []
+
+
+def _silence() -> None:
+    """Keep Dask's log and its tracebacks off the terminal: what matters of them we say ourselves, in a line."""
+    # Dask gives several of its loggers a level and a handler of their own.
+    for name in list(logging.root.manager.loggerDict):
+        if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _end(future: Any) -> Event:
