@@ -51,7 +51,7 @@ def suite(pytester, monkeypatch):
 
     def suite(*arguments, brighter=0, moved=0.0):
         text = TEST.format(brighter=brighter, moved=moved)
-        pytester.makepyfile(test_film=text)
+        pytester.makepyfile(test_users_film=text)
         return pytester.runpytest(*ALONE, *arguments)
 
     return suite
@@ -61,10 +61,10 @@ def test_references_are_asked_for_made_kept_and_compared(suite, pytester):
     missing = suite()
     missing.assert_outcomes(failed=3)
     missing.stdout.fnmatch_lines(
-        ["*there is no reference *references/test_film/test_frame-frame-24.png*--tparticles-update"]
+        ["*there is no reference *references/test_users_film/test_frame-frame-24.png*--tparticles-update"]
     )
     suite("--tparticles-update").assert_outcomes(passed=3)
-    files = {path.name for path in (pytester.path / "references/test_film").iterdir()}
+    files = {path.name for path in (pytester.path / "references/test_users_film").iterdir()}
     assert len(files) == 6 and {"test_frame-frame-24.png", "test_frame-frame-24.json"} <= files
     suite().assert_outcomes(passed=3)
 
@@ -101,7 +101,7 @@ def test_references_are_not_made_where_ci_is_set(suite, pytester, monkeypatch):
 )
 def test_a_reference_that_cannot_be_used_fails_in_a_line(suite, pytester, data, words):
     suite("--tparticles-update")
-    (pytester.path / "references/test_film/test_frame-frame-24.png").write_bytes(data)
+    (pytester.path / "references/test_users_film/test_frame-frame-24.png").write_bytes(data)
     broken = suite("-k", "frame")
     broken.assert_outcomes(failed=1, deselected=2)
     broken.stdout.fnmatch_lines([f"*frame-24: *{words}*"])
