@@ -44,10 +44,14 @@ def test_frame(tparticles_image):
 """
 
 
-@pytest.fixture
-def suite(pytester, monkeypatch):
-    """Return a function that writes and runs a test suite."""
+@pytest.fixture(autouse=True)
+def no_ci(monkeypatch):
     monkeypatch.delenv("CI", raising=False)
+
+
+@pytest.fixture
+def suite(pytester):
+    """Return a function that writes and runs a test suite."""
 
     def suite(*arguments, brighter=0, moved=0.0):
         text = TEST.format(brighter=brighter, moved=moved)
