@@ -50,7 +50,7 @@ def scene(
             temperature=tp.Spread(mean=1560.0, variance=120.0),
             size=tp.Spread(mean=0.062, variance=0.03),
             lifetime=tp.Spread(mean=0.42, variance=0.3),
-            preroll=1.0,
+            preroll=0.75,
         ),
         cooling=tp.Exponential(time=0.95, ambient=293.0),
         appearance=tp.Glow(emissivity=0.0019, fade_in=0.15, fade_out=0.6),
@@ -74,6 +74,6 @@ def scene(
         look=tp.Look(ev=4.0, tone="filmic"),
         background=tp.Gradient(top=(0.012, 0.016, 0.030), bottom=(0.045, 0.034, 0.034)),
         duration=10.0,
-        steps=tp.Fixed(dt=1 / 96),
+        steps=tp.Fixed(dt=1 / 72),
         seed=seed,
     )

@@ -22,17 +22,10 @@ film = load("campfire").build(quality="preview", settings={{}})
 for frame in tp.Simulation(film, size=(32, 18), arch="cpu", threads=1).frames([1]):
     pass
 """
-# the functions of Taichi that are replaced, kept under their names
 OWN = """
-from taichi.lang import kernel_impl as k
-from taichi.lang.ast import ast_transformer_utils as a
-parts = ((k, "_inside_class"), (k, "_get_tree_and_ctx"), (k, "transform_tree"), (a.Builder, "__call__"))
-parts += ((a.ASTTransformerContext, "get_pos_info"),)
-kept = [(owner, name, getattr(owner, name)) for owner, name in parts]
-import tparticles.tracing
-for owner, name, value in kept:
-    assert getattr(owner, name) is not value
-    setattr(owner, name, value)
+from tparticles import tracing
+assert all(vars(owner)[name] is not value for owner, name, value in tracing._TAICHIS)
+tracing.replace(tracing._TAICHIS)
 """
 
 

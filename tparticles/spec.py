@@ -37,7 +37,9 @@ Vec3 = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(lambda v: tuple(
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def spec(cls: Class) -> Class:
     """Make `cls` a frozen, keyword-only, validated dataclass whose constructor raises `InputError`."""
-    cls = pydantic_dataclass(frozen=True, kw_only=True, config=_CONFIG)(cls)  # type: ignore[assignment]
+    # Of our own specs a scene uses a few: their validators are built by the first that is made.
+    config: ConfigDict = {**_CONFIG, "defer_build": cls.__module__.startswith("tparticles.")}
+    cls = pydantic_dataclass(frozen=True, kw_only=True, config=config)(cls)  # type: ignore[assignment]
     construct: Callable[..., None] = cls.__init__
 
     def __init__(self: Any, *args: Any, **options: Any) -> None:  # noqa: N807
@@ -47,6 +49,8 @@ def spec(cls: Class) -> Class:
             construct(self, **options)
         except ValidationError as error:
             raise InputError(explain(error, cls.__name__, _fields(cls))) from None
+        finally:
+            cls.__init__ = __init__  # building the validator took it away
 
     cls.__init__ = __init__
     return cls

@@ -14,13 +14,14 @@ import ast
 import functools
 import inspect
 import linecache
+import operator
 import sys
 import textwrap
 import traceback
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any
 
-_TAICHI = (1, 7, 4)  # whose tracer is replaced; another version keeps its own
+_VERSION = (1, 7, 4)  # whose tracer is replaced; another version keeps its own
 
 
 def _frame_info(frame: FrameType, context: int = 1) -> tuple[str, int, str, list[str], int]:
@@ -30,21 +31,33 @@ def _frame_info(frame: FrameType, context: int = 1) -> tuple[str, int, str, list
     return code.co_filename, frame.f_lineno, code.co_name, [line], 0
 
 
+# Taichi asks a server for its newest version; the import of what it asks with takes longer than the asking.
+_version_check: Any = ModuleType("taichi._version_check")
+_version_check.start_version_check_thread = lambda: None
+sys.modules.setdefault(_version_check.__name__, _version_check)
+
 _getframeinfo = inspect.getframeinfo
 inspect.getframeinfo = _frame_info  # type: ignore[assignment]
 try:
     import taichi
-    from taichi.lang import impl, kernel_impl, matrix_ops, snode  # noqa: F401  # matrix_ops: else the first trace imports it
+    from taichi._lib import core
+    from taichi.lang import expr, impl, kernel_impl, matrix_ops, ops, snode
     from taichi.lang.ast import ast_transformer_utils
     from taichi.lang.ast.ast_transformer import ASTTransformer
-    from taichi.lang.exception import TaichiCompilationError, handle_exception_from_cpp
+    from taichi.lang.exception import TaichiCompilationError, TaichiTypeError, handle_exception_from_cpp
+    from taichi.lang.expr import Expr
+    from taichi.lang.field import Field
 finally:
     inspect.getframeinfo = _getframeinfo
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
     """Whether the frame so many calls up is the body of a class, by the line it is at; in place of Taichi's own."""
-    line = _frame_info(sys._getframe(level_of_class_stackframe))[3][0].strip()
+    try:
+        frame = sys._getframe(level_of_class_stackframe)
+    except ValueError:  # a function of the script itself has nothing around it
+        return False
+    line = _frame_info(frame)[3][0].strip()
     return any(pattern.match(line) for pattern in kernel_impl._KERNEL_CLASS_STACKFRAME_STMT_RES)
 
 
@@ -76,6 +89,9 @@ class _Source:
         return self.spare.pop() if self.spare else _Tree(self)
 
 
+_NOTED = (ast.stmt, ast.expr, ast.keyword, ast.Slice, ast.comprehension)  # what Taichi leaves notes on, not operators
+
+
 class _Tree:
     """A parsed function. Tracing leaves notes on the nodes and takes the arguments of a kernel away."""
 
@@ -85,12 +101,11 @@ class _Tree:
         self._function: Any = self.root.body[0]
         self._function.decorator_list = []
         self._arguments = list(self._function.args.args)
-        self._nodes = list(ast.walk(self.root))
+        self._notes = [node.__dict__ for node in ast.walk(self.root) if isinstance(node, _NOTED)]
 
     def give_back(self) -> None:
         """Make the tree as it was and let others use it."""
-        for node in self._nodes:
-            notes = node.__dict__
+        for notes in self._notes:
             notes.pop("ptr", None)
             notes.pop("caller", None)
         self._function.args.args = list(self._arguments)
@@ -210,18 +225,124 @@ def _build(self: Any, context: Any, node: ast.AST) -> Any:
         raise TaichiCompilationError(_position(context, node) + traceback.format_exc()) from None
 
 
-def _speed_up() -> None:
-    for owner, name, function in (
-        (kernel_impl, "_inside_class", _inside_class),
-        (impl, "get_traceback", _no_traceback),
-        (snode, "get_traceback", _no_traceback),
-        (kernel_impl, "_get_tree_and_ctx", _tree_and_context),
-        (kernel_impl, "transform_tree", _transform),
-        (ast_transformer_utils.Builder, "__call__", _build),
-        (ast_transformer_utils.ASTTransformerContext, "get_pos_info", _position),
-    ):
+_OPERATORS: dict[type[ast.operator], Any] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: operator.pow,
+    ast.LShift: operator.lshift,
+    ast.RShift: operator.rshift,
+    ast.BitOr: operator.or_,
+    ast.BitXor: operator.xor,
+    ast.BitAnd: operator.and_,
+    ast.MatMult: matrix_ops.matmul,
+}
+
+
+def _build_operation(context: Any, node: Any) -> Any:
+    """Trace a binary operation; in place of `ASTTransformer.build_BinOp`, which makes a table of them for each."""
+    _transformer(context, node.left)
+    _transformer(context, node.right)
+    try:
+        node.ptr = _OPERATORS[node.op.__class__](node.left.ptr, node.right.ptr)
+    except TypeError as error:
+        raise TaichiTypeError(str(error)) from None
+    return node.ptr
+
+
+def _build_name(context: Any, node: Any) -> Any:
+    """Look a name up; in place of `ASTTransformer.build_Name`. What it stands for keeps the position of where it was made."""
+    node.ptr = context.get_var_by_name(node.id)
+    return node.ptr
+
+
+_get_decorator = ASTTransformer.get_decorator
+
+
+def _decorator(context: Any, node: Any) -> str:
+    """Return whether a call is one of `static` and the like; in place of `get_decorator`, once for each node."""
+    found = node.__dict__.get("decorator")
+    if found is None:
+        found = node.decorator = _get_decorator(context, node)
+    return found
+
+
+_expr = Expr.__init__
+_constant = expr.make_constant_expr
+_initial = impl.expr_init
+_binary = ops._binary_operation
+
+
+def _expression(self: Any, *arguments: Any, dbg_info: Any = None, dtype: Any = None) -> None:
+    """Wrap an expression, nearly always one of Taichi's core; in place of `Expr.__init__`."""
+    if len(arguments) != 1 or arguments[0].__class__ is not core.Expr:
+        _expr(self, *arguments, dbg_info=dbg_info, dtype=dtype)
+        return
+    self.ptr, self.dbg_info = arguments[0], dbg_info
+    if dbg_info is not None:
+        self.ptr.set_dbg_info(dbg_info)
+    runtime: Any = impl.pytaichi
+    self.ptr.type_check(runtime.prog.config())
+    self.ptr_type_checked = True
+
+
+def _constant_expression(value: Any, dtype: Any) -> Any:
+    """Return a literal; in place of `make_constant_expr`, which asks NumPy for the range of the type, twice."""
+    if dtype is None:
+        kind = value.__class__
+        if kind is float:
+            return Expr(core.make_const_expr_fp(impl.pytaichi.default_fp, value))
+        if kind is int and -(2**31) <= value < 2**31:  # the default type of integers has 32 or 64 bits
+            return Expr(core.make_const_expr_int(impl.pytaichi.default_ip, value))
+    return _constant(value, dtype)
+
+
+def _initial_value(value: Any) -> Any:
+    """Return a new variable; in place of `expr_init`, which first asks for a dozen rarer kinds of value."""
+    if value.__class__ is not Expr:
+        return _initial(value)
+    runtime: Any = impl.pytaichi
+    info = core.DebugInfo(runtime.get_current_src_info())
+    return Expr(runtime.compiling_callable.ast_builder().expr_var(value.ptr, info))
+
+
+def _binary_operation(taichi_op: Any, python_op: Any, a: Any, b: Any) -> Any:
+    """Return `a op b`; in place of Taichi's own, which asks for fields before expressions."""
+    if a.__class__ is not Expr or (b.__class__ is not Expr and isinstance(b, Field)):
+        return _binary(taichi_op, python_op, a, b)
+    info = core.DebugInfo(impl.pytaichi.get_current_src_info())
+    if b.__class__ is not Expr:
+        b = Expr(b, dbg_info=info)
+    return Expr(taichi_op(a.ptr, b.ptr), dbg_info=info)
+
+
+_OURS: tuple[tuple[Any, str, Any], ...] = (
+    (kernel_impl, "_inside_class", _inside_class),
+    (impl, "get_traceback", _no_traceback),
+    (snode, "get_traceback", _no_traceback),
+    (kernel_impl, "_get_tree_and_ctx", _tree_and_context),
+    (kernel_impl, "transform_tree", _transform),
+    (ast_transformer_utils.Builder, "__call__", _build),
+    (ast_transformer_utils.ASTTransformerContext, "get_pos_info", _position),
+    (ASTTransformer, "build_BinOp", staticmethod(_build_operation)),
+    (ASTTransformer, "build_Name", staticmethod(_build_name)),
+    (ASTTransformer, "get_decorator", staticmethod(_decorator)),
+    (Expr, "__init__", _expression),
+    (expr, "make_constant_expr", _constant_expression),
+    (impl, "expr_init", _initial_value),
+    (ops, "_binary_operation", _binary_operation),
+)
+_TAICHIS = tuple((owner, name, vars(owner)[name]) for owner, name, _ in _OURS)
+
+
+def replace(functions: tuple[tuple[Any, str, Any], ...]) -> None:
+    """Put functions into the modules and classes of Taichi: ours, or its own again."""
+    for owner, name, function in functions:
         setattr(owner, name, function)
 
 
-if taichi.__version__ == _TAICHI:
-    _speed_up()
+if taichi.__version__ == _VERSION:
+    replace(_OURS)

@@ -144,8 +144,7 @@ Background = Gradient | Picture
 
 
 def film_background(background: Background, look: Look, width: int, height: int) -> np.ndarray:
-    """Return the film values that develop to the background's own colours, float32, shape (height, width, 3)."""
+    """Return the film values that develop to the background's own colours, float32, shape (height, width or 1, 3)."""
     table, film_max = look.display_table()
     film = film_max * np.linspace(0.0, 1.0, len(table)) ** 2
-    values = np.interp(background.picture(width, height) * 255, table, film).astype(np.float32)
-    return np.broadcast_to(values, (height, width, 3))
+    return np.interp(background.picture(width, height) * 255, table, film).astype(np.float32)

@@ -131,22 +131,22 @@ class Film:
         self._merge(np.ascontiguousarray(sums))
 
     def set_background(self, image: ArrayLike | None) -> None:
-        """Set what `develop` adds to the film: shape (height, width, 3), relative to film white; None is black.
+        """Set what `develop` adds to the film: shape (height, width or 1, 3), relative to film white; None is black.
 
         Raises `InputError` if the shape differs or a value is not finite.
         """
         self._lit, self._dark = image is not None, (None, None)
         if image is None:
             return
-        shape = (self.height, self.width, 3)
-        rows, side = np.zeros((self.height, self.stride), np.float32), 3 * splat.PAD
-        if np.shape(image) == shape:
-            rows[:, side:-side].reshape(shape)[...] = image
-        if np.shape(image) != shape or not np.isfinite(rows).all():
-            raise InputError(f"a background of shape {np.shape(image)} must be finite and of the film's shape, {shape}")
+        values = np.ascontiguousarray(image, dtype=np.float32)
+        if values.shape not in ((self.height, self.width, 3), (self.height, 1, 3)) or not np.isfinite(values).all():
+            raise InputError(
+                f"a background of shape {values.shape} must be finite and of the film's shape, "
+                f"{(self.height, self.width, 3)}, or have one column"
+            )
         if self._background is None:
-            self._background = ti.field(ti.f32, shape=rows.size)
-        self._background.from_numpy(rows.ravel())
+            self._background = ti.field(ti.f32, shape=self.height * self.stride)
+        self._set_background(self._background, values, values.shape[1])
 
     def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (height, width, 3), a new array.
@@ -307,6 +307,11 @@ class Film:
         for y, x, c in ti.ndrange(self.height, self.width, 3):
             i = y * self.stride + (x + splat.PAD) * 3 + c
             self.light[i] = self.light[i] + sums[y, x, c]
+
+    @ti.kernel
+    def _set_background(self, background: ti.template(), values: ti.types.ndarray(ti.f32, 3), columns: ti.i32):
+        for y, x, c in ti.ndrange(self.height, self.width, 3):
+            background[y * self.stride + (x + splat.PAD) * 3 + c] = values[y, ti.min(x, columns - 1), c]
 
     @ti.kernel
     def _develop(
