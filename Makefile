@@ -9,8 +9,8 @@ campfire: $(VENV)/.installed
 	$(BIN)/tparticles render scenes/campfire.py --out renders/campfire --existing overwrite
 
 test: lint types
-	$(BIN)/python -m pytest -m "not serial" --numprocesses 2 --dist loadfile
-	$(BIN)/python -m pytest -m serial
+	$(BIN)/python -m pytest -m "not serial" --numprocesses 2 --dist loadfile -rs
+	$(BIN)/python -m pytest -m serial -rs
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
