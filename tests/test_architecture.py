@@ -36,7 +36,9 @@ ON_TOP = {
     "checkpoint",
     "resume",
     "sharded",
+    "shard_crew",
     "shard_estimate",
+    "shard_states",
     "shoot",
 }
 ON_TOP |= {

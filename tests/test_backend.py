@@ -7,9 +7,10 @@ import sys
 import time
 
 import pytest
+import taichi as ti
 
 from tparticles import backend
-from tparticles.errors import BackendError, InputError
+from tparticles.errors import BackendError, InputError, RunError
 
 
 @pytest.fixture(autouse=True)
@@ -169,9 +170,24 @@ def test_the_environment_does_not_override_and_stdout_is_clean():
     assert run.stdout == ""
 
 
+def test_taichi_starts_without_a_home():
+    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    code = "import tparticles, taichi, os; assert os.path.isdir(os.environ['HOME'])"
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
 def test_only_groups_of_few_blocks_on_a_cpu_stay_in_one_thread():
     """A CPU thread gets 512 blocks of 16 at least: more particles are worth a second one. A GPU wants a thread for each."""
     cpu, gpu = backend.Backend("cpu", 2, "f32"), backend.Backend("vulkan", 2, "f32")
     assert cpu.in_one_thread(8192)
     assert not cpu.in_one_thread(8193)
     assert not gpu.in_one_thread(16)
+
+
+def test_more_fields_than_taichi_has_room_for_are_refused_before_it_crashes():
+    backend.stop()
+    backend.start(arch="cpu", threads=1)
+    with pytest.raises(RunError, match=r"call tparticles\.backend\.stop\(\) between simulations"):
+        for _ in range(512):
+            ti.field(ti.i32, 1)
+            backend.lay_out()

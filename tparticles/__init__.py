@@ -5,6 +5,9 @@ import os as _os
 # Taichi reads these when it is imported: no version post over the network, no banner on stdout.
 _os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 _os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+# Without a home, as services run, it would end the process.
+if not (_os.environ.get("HOME") or _os.environ.get("XDG_CACHE_HOME")):
+    _os.environ["HOME"] = _os.path.expanduser("~") if _os.path.isdir(_os.path.expanduser("~")) else "/tmp"
 # Pydantic would search all installed packages for plugins.
 _os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
@@ -25,6 +28,7 @@ _PUBLIC = {
     "physics.mesh_builders": ("cloth", "lattice", "rope", "sphere_shell", "spring_box"),
     "physics.mesh_files": ("read_mesh",),
     "physics.noise": ("CurlNoise",),
+    "physics.repulsion": ("Repulsion",),
     "physics.shapes": ("Box", "Cone", "Disc", "Line", "Point", "Sphere"),
     "physics.spread": ("Spread",),
     "render.appearance": ("Glow", "Gradient", "Picture", "Ramp"),

@@ -23,15 +23,16 @@ from typing import Any, Literal, get_args
 import taichi as ti
 
 from . import tracing  # noqa: F401  # it makes Taichi's tracer quick
-from .errors import BackendError, InputError, unknown
+from .errors import BackendError, InputError, RunError, unknown
 
 Arch = Literal["auto", "cpu", "cuda", "vulkan"]
 Precision = Literal["f32", "f64"]
 
 # A lock is held for milliseconds; one this old belongs to a process that was killed.
 _DEAD_LOCK_AGE = 60.0  # [s]
+_LAYOUTS = 480  # Taichi has room for 512 trees of fields, and does not look when it is full
 _PROBE_TIMEOUT = 60.0  # [s]
-_GRAIN = 512  # iterations that Taichi gives one CPU thread at least
+GRAIN = 512  # iterations that Taichi gives one CPU thread at least
 _LANES = 16  # particles in a lane block: one AVX-512 register of f32; wider blocks spill (tests/bench/fused.py)
 
 
@@ -58,7 +59,7 @@ class Backend:
 
         It is serialised then: where encoders keep all cores busy, waking another thread takes longer than the work.
         """
-        return self.is_cpu and count <= _GRAIN * self.lanes
+        return self.is_cpu and count <= GRAIN * self.lanes
 
     @property
     def real(self) -> Any:
@@ -114,7 +115,17 @@ def stop() -> None:
 
 
 def lay_out() -> None:
-    """Lay out the fields that were declared so far: kernels that use them do not depend on what is declared later."""
+    """Lay out the fields that were declared so far: kernels that use them do not depend on what is declared later.
+
+    Raises:
+        RunError: Taichi would have more layouts than it can hold, where it would crash.
+    """
+    count = len(ti.FieldsBuilder._finalized_roots())
+    if count >= _LAYOUTS:
+        raise RunError(
+            f"Taichi holds the fields of {count} parts of scenes, of earlier simulations too, and bears no more: call "
+            "tparticles.backend.stop() between simulations, or take fewer groups"
+        )
     ti.sync()
 
 

@@ -24,7 +24,7 @@ from .errors import InputError, unknown
 from .library import load
 from .parameter import description, plain
 from .render.appearance import Picture
-from .resume import Start, find_start, picture_check
+from .resume import Start, find_start, picture_check, with_last
 from .scene import QUALITIES, Scene, frame_numbers, frame_rate
 from .shoot import Source, shoot
 from .simulation import WHOLE, Frame, Share, Simulation
@@ -169,11 +169,14 @@ class Job:
         *,
         tell: Callable[[str], None] = lambda text: None,
         source: Callable[[], Source] | None = None,
+        anywhere: bool = False,
+        last: Path | None = None,
     ) -> dict[str, Any]:
         """Render; call `progress(frame, frames done)` for each frame; return what run.json holds.
 
         `tell` hears what is worth a line: a checkpoint that is refused, or where a resumed run goes on. `source` makes what the
-        frames come from, the scene's own simulation by default.
+        frames come from, the scene's own simulation by default; `anywhere`: it makes a frame without those before it. `last`: a
+        file that is there when all is done.
 
         Raises:
             InputError, BackendError: found before anything is written, but for what only a running kernel can tell.
@@ -186,7 +189,7 @@ class Job:
         with output.held_folder(self.out):
             output.claim_folder(self.out, scene=self.script.name, identity=owner, existing=self._existing())
             rows = self._finished_rows(owner)
-            start = self._start(rows, owner, tell, anywhere=source is not None)
+            start = self._start(rows, owner, tell, anywhere=anywhere, last=last)
             manifest = output.Manifest(self.out / "run.json", self.header() | {"identity": owner, "arch": arch})
             try:
                 for row in rows:
@@ -208,12 +211,15 @@ class Job:
         """Return what makes two renders the same film: two architectures round differently, so it is part of it."""
         return f"{self.identity}-{arch}"
 
-    def _start(self, rows: list[dict[str, Any]], owner: str, tell: Callable[[str], None], *, anywhere: bool) -> Start:
+    def _start(
+        self, rows: list[dict[str, Any]], owner: str, tell: Callable[[str], None], *, anywhere: bool, last: Path | None
+    ) -> Start:
         """Return where to set out, and what of the film is there."""
         if not self.options.resume:
             shutil.rmtree(self.checkpoints, ignore_errors=True)
             return Start(self.frames)
         check = picture_check(self.pictures, self.out / "states" if self.options.states else None, self.size)
+        check = check if last is None else with_last(check, self.frames[-1], last)
         start = find_start(
             self.frames, rows, check=check, folder=self.checkpoints, identity=owner, tell=tell, anywhere=anywhere
         )

@@ -14,7 +14,8 @@ from .physics.colliders import Surface
 from .physics.forces import Gravity
 from .physics.law import ForceLike
 from .physics.mesh import Mesh
-from .physics.mesh_rates import estimated_rates, largest_rates
+from .physics.mesh_rates import Rates, estimated_rates, largest_rates
+from .physics.repulsion import Repulsion
 from .render.wires import Wires
 from .schemes import Scheme
 from .spec import NonNegative, Positive, spec
@@ -22,6 +23,7 @@ from .stepping.control import Clamp, Fixed, StabilityLimit
 from .track import Track
 
 _MANY = 500_000  # springs: beyond it the proven bound is taken; it is quicker, and its step up to 1.4 times smaller
+_TOUCHING = 12  # spheres that touch one of their size at most (Schuette and van der Waerden 1953)
 _MODES = np.geomspace(1.0, 1e-3, 13)  # of the largest frequency, where the stability limit is looked up
 Guard = Literal["error", "halve", "kill"]
 
@@ -40,7 +42,7 @@ def _check_mesh(value: Any) -> Any:
 class MeshGroup:
     """A spring mesh: `mesh` under its springs and `forces` (accelerations [m/s^2]).
 
-    It bounces off `colliders` where it comes nearer than `radius` [m].
+    It bounces off `colliders` where it comes nearer than `radius` [m]; by `repulsion` its vertices keep off each other.
     `scheme`, `steps` (`Fixed` or `StabilityLimit`) and `clamp` are the scene's where they are None: sparks and a stiff cloth
     seldom want the same. `temperature` [K], or a `Track` of it, is that of the whole mesh, for wires that glow.
     `guard`: what to do where the mesh blows up (no number, energy from nowhere, a spring `longest` times its rest length): "error"
@@ -55,6 +57,7 @@ class MeshGroup:
     forces: Annotated[SkipValidation[tuple[Any, ...]], BeforeValidator(_tuple)] = (Gravity(),)
     colliders: Annotated[SkipValidation[tuple[Any, ...]], BeforeValidator(_tuple)] = ()
     radius: NonNegative = 0.0
+    repulsion: Repulsion | None = None
     appearance: Wires = Wires()
     temperature: Positive | Track | None = None
     scheme: Annotated[
@@ -72,12 +75,23 @@ class MeshGroup:
                 raise InputError(f"{here}: {force!r} is no force: it has no acceleration(self, t, x, v)")
         for collider in self.colliders:
             Surface.of(collider)
+        self._check_repulsion(here)
         if self.appearance.by == "temperature" and self.temperature is None:
             raise InputError(f"{here}: wires coloured by temperature need one; give MeshGroup.temperature")
         if isinstance(self.temperature, Track) and self.temperature.is_vector:
             raise InputError(f"{here}: MeshGroup.temperature: a Track of numbers is needed, not of vectors")
         if self.scheme is not None:
             self.check_scheme(self.scheme)
+
+    def _check_repulsion(self, here: str) -> None:
+        if self.repulsion is None or not self.mesh.spring_count:
+            return
+        shortest = float(self.mesh.rest.min())
+        if self.repulsion.distance > shortest * (1 + 1e-6):  # as far as it goes for rounding
+            raise InputError(
+                f"{here}: repulsion.distance = {self.repulsion.distance:g} m is more than the shortest spring, {shortest:g} m: "
+                "the mesh would push itself apart at rest"
+            )
 
     def check_steps(self, steps: Any) -> None:
         """Refuse a controller by which particles choose their own steps.
@@ -100,6 +114,8 @@ class MeshGroup:
         here = f"scheme '{scheme.name}' cannot run group '{self.name}'"
         if 2 not in scheme.system_orders:
             raise InputError(f"{here}: it is for first-order systems")
+        if self.repulsion and scheme.implicit:
+            raise InputError(f"{here}: repulsion needs an explicit scheme, such as velocity-verlet")
         if "velocity-free forces" in scheme.needs and not self.velocity_free:
             raise InputError(
                 f"{here}: its order {scheme.order} holds for forces that do not depend on the velocity, and springs with damping "
@@ -113,6 +129,8 @@ class MeshGroup:
         stiffest one has zeta.
         """
         rates = largest_rates(self.mesh) if self.mesh.spring_count > _MANY else estimated_rates(self.mesh)
+        if self.repulsion:
+            rates = _with_repulsion(rates, self.repulsion, self.mesh)
         if rates.frequency == 0:
             return math.inf
         zeta = rates.damping / (2 * rates.frequency)
@@ -122,13 +140,19 @@ class MeshGroup:
     def velocity_free(self) -> bool:
         """Whether no force depends on the velocity, as far as the forces say."""
         free = all(getattr(force, "velocity_free", False) for force in self.forces)
-        return free and not bool(np.any(self.mesh.damping > 0))
+        damped = bool(np.any(self.mesh.damping > 0)) or bool(self.repulsion and self.repulsion.damping > 0)
+        return free and not damped
 
     @property
     def conserves(self) -> bool:
-        """Whether nothing here can add energy: gravity alone, no paths, nothing that moves."""
+        """Whether nothing here can add energy: gravity alone, no paths, nothing that moves, nothing that holds any uncounted."""
         still = all(not any(Surface.of(collider).velocity) for collider in self.colliders)
-        return all(isinstance(force, Gravity) for force in self.forces) and still and not self.mesh.paths
+        return (
+            all(isinstance(force, Gravity) for force in self.forces)
+            and still
+            and not self.mesh.paths
+            and not self.repulsion
+        )
 
     @property
     def gravity(self) -> np.ndarray:
@@ -138,3 +162,11 @@ class MeshGroup:
     def temperature_at(self, t: float) -> float | None:
         """Return the temperature [K] at time `t` [s]."""
         return float(self.temperature.at(t)) if isinstance(self.temperature, Track) else self.temperature
+
+
+def _with_repulsion(rates: Rates, repulsion: Repulsion, mesh: Mesh) -> Rates:
+    """Return the rates with each vertex pushed by as many others as can touch it."""
+    most = 2 * _TOUCHING / float(mesh.mass.min())
+    return Rates(
+        stiffness=rates.stiffness + most * repulsion.stiffness, damping=rates.damping + most * repulsion.damping
+    )

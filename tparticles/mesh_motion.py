@@ -105,12 +105,14 @@ class MeshMotion:
         self.stable = spec.stable_step(self.scheme)
         self.dt = self._step(steps, frame)
         recorded = record is not None
+        backend.lay_out()
         self.system = SpringMesh(
             self.mesh,
             forces=spec.forces,
             fixed=self.mesh.pinned,
             registers=self.scheme.registers + recorded,  # one more for slopes that nothing but the record needs
             tallies=recorded,
+            repulsion=spec.repulsion,
         )
         self.recorder = Recorder(self.system, record, gravity=spec.gravity) if record else None
         contact = Contact(self.system, spec.colliders, radius=spec.radius)
@@ -156,7 +158,7 @@ class MeshMotion:
         """How much memory the fields take."""
         real = 4 if backend.current().precision == "f32" else 8
         per_entry = 4 + real * (2 + self.system.damped + self.system.tears)
-        return self.system.padded * real * (13 + 6 * self.system.k[0].shape[0] // self.system.padded) + (
+        return self.system.padded * real * (19 + 6 * self.system.k[0].shape[0] // self.system.padded) + (
             len(self.system.spring) * per_entry
         )
 
@@ -254,7 +256,7 @@ class MeshMotion:
     def snapshot(self) -> dict[str, Any]:
         """Return all that the next frame depends on."""
         s = self.system
-        arrays = {f"z{d}": field.to_numpy() for d, field in enumerate(s.z)}
+        arrays = {f"z{d}": field.to_numpy()[: s.padded] for d, field in enumerate(s.z)}
         arrays |= {f"k{d}": field.to_numpy() for d, field in enumerate(s.k)}
         if self.stepper.contact.any:
             arrays["touching"] = self.stepper.contact.touching.to_numpy()
@@ -271,7 +273,7 @@ class MeshMotion:
         """Go on from what `snapshot` returned."""
         for name, fields in (("z", self.system.z), ("k", self.system.k)):
             for d, field in enumerate(fields):
-                field.from_numpy(np.ascontiguousarray(state[f"{name}{d}"]))
+                field.from_numpy(np.resize(state[f"{name}{d}"], field.shape))  # both pages of z
         if self.stepper.contact.any:
             self.stepper.contact.touching.from_numpy(np.ascontiguousarray(state["touching"]))
         if self.system.tears:

@@ -127,8 +127,8 @@ def render(
 
         index = _shard(shards, shard, workers)
         logging = _logging(log, log_every, log_ids, log_group)
-        if logging and (shards is not None or options["resume"]):
-            raise InputError("--log: a log is of one whole run; leave out --shards and --resume")
+        if logging and shard == "merge":
+            raise InputError("--log: the first shard writes the log; leave it out where you merge")
         command = _command(scene, out, options)
         if shards is not None and index is None:  # nothing is simulated here
             options["checkpoint_every"] = "off"
@@ -144,18 +144,30 @@ def render(
                 click.echo(f"{job.script.name}: {text}", err=True)
 
             if shards is None:
-                run = job.run(step, tell=tell, source=_logged(job, logging) if logging else None)
+                whole = job.out / "log.h5" if logging else None
+                run = job.run(step, tell=tell, source=_logged(job, logging) if logging else None, last=whole)
             else:
                 from . import sharded
 
                 if index is not None:
-                    run = sharded.render_shard(job, sharded.Share(index, shards), step, tell=tell, merged=merged)
+                    share = sharded.Share(index, shards)
+                    run = sharded.render_shard(job, share, step, tell=tell, merged=merged, logging=logging)
                 elif shard is not None:
                     run = sharded.merge_shards(job, shards, step, tell=tell)
                 else:
+                    if logging:
+                        logging.check_share(job.scene, sharded.Share(0, shards))
+                        logging.requests(job.scene)
                     announce = None if quiet else tell
                     run = sharded.render_in_shards(
-                        job, shards, step, command=command, workers=workers, tell=tell, announce=announce
+                        job,
+                        shards,
+                        step,
+                        command=command,
+                        workers=workers,
+                        tell=tell,
+                        announce=announce,
+                        log=logging.options() if logging else (),
                     )
     if as_json:
         print_json(run)
@@ -211,4 +223,4 @@ def _command(scene: str, out: str | None, options: Mapping[str, Any]) -> list[st
             command += [f"--{name.replace('_', '-')}", str(texts[name])]
     for name, value in options["settings"].items():
         command += ["--set", f"{name}={value}"]
-    return command + ["--resume"] * options["resume"]
+    return command + ["--resume"] * options["resume"] + ["--states"] * options["states"]

@@ -6,38 +6,38 @@ Each shard leaves its pieces in DIR/shards/K-of-N; whoever merges sums them, dev
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
-import subprocess
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import __version__, backend, output
 from .checkpoint import Checkpoints
-from .errors import InputError, RunError, TparticlesError
+from .errors import InputError, RunError
 from .job import Job
 from .output.files import reason
 from .output.pieces import add_piece, piece_path, write_piece
 from .output.sealed import Sections
-from .resume import Start, find_start
+from .resume import Start, find_start, with_last
+from .shard_crew import PARENT, Crew, missing
 from .shard_estimate import estimate
-from .simulation import Frame, FrameReport, Share, make_film
+from .shard_states import State, StateMerge, from_sections, sections
+from .simulation import Frame, FrameReport, Share, Simulation, make_film
 
-_PARENT = "TPARTICLES_PARENT"  # the process that a local shard works for
-_LOOK = 0.01  # [s] between two looks for a piece
-_PATIENCE = 10.0  # [s] for a shard that is told to stop
+if TYPE_CHECKING:
+    from .log.source import Logging
+
+LOG = "log.h5"
 _LEAST_DOTS = 1 << 10  # a film that is only summed takes no dots
 
 
 def check_shards(job: Job, count: int) -> None:
     """Refuse what cannot be done in shards. Raises InputError."""
-    if job.options.states:
-        raise InputError("--shards: states are not merged; leave out --states")
     if job.options.resume and not job.options.png and job.options.mp4:
         raise InputError("--shards: a film is resumed from its pictures; leave out --no-png")
     if not 1 <= count <= 10_000:
@@ -60,19 +60,21 @@ def render_shard(
     *,
     tell: Callable[[str], None],
     merged: int = 0,
+    logging: Logging | None = None,
 ) -> dict[str, Any]:
     """Simulate and draw one share of the particles; return what the shard's run.json holds.
 
-    merged: frames up to this one are summed and done: a resumed shard need not have them.
+    merged: frames up to this one are summed and done: a resumed shard need not have them. logging: what the first shard logs.
     Raises as `Job.run`.
     """
     check_shards(job, share.count)
-    simulation = job.simulation(share)
-    folder, arch = folder_of(job.out, share), simulation.backend.arch
+    folder = folder_of(job.out, share)
+    simulation, source = _source(job, share, folder, logging)
+    arch = simulation.backend.arch
     identity = _identity(job, arch, share)
     with output.held_folder(folder):
         output.claim_folder(folder, scene=job.script.name, identity=identity, existing=job.options.existing)
-        start = _start(job, folder, identity, merged, tell)
+        start = _start(job, folder, identity, merged, tell, last=folder / LOG if logging else None)
         manifest = output.Manifest(folder / "run.json", job.header() | {"identity": identity, "arch": arch})
         checkpoints = Checkpoints(
             folder / output.CHECKPOINTS,
@@ -84,12 +86,15 @@ def render_shard(
         )
         try:
             if start.checkpoint is not None:
-                simulation.restore(start.checkpoint.sections)
+                source.restore(start.checkpoint.sections)
             with job.script.blamed():
-                reports = simulation.exposures(start.others, after=lambda n: checkpoints.after(n, simulation.snapshot))
+                reports = source.exposures(start.others, after=lambda n: checkpoints.after(n, source.snapshot))
                 for done, report in enumerate(reports, start=len(start.kept) + 1):
                     _check_parent()
-                    _write(folder, simulation.film.sums(), report, identity)
+                    states = {}
+                    if job.options.states:
+                        states = {group.spec.name: group.state(report.time) for group in simulation.groups}
+                    _write(folder, simulation.film.sums(), report, identity, states)
                     manifest.add(report.row())
                     progress(_Shown(report), done)
         except KeyboardInterrupt:
@@ -105,6 +110,20 @@ def render_shard(
     return output.read_manifest(folder / "run.json")
 
 
+def _source(job: Job, share: Share, folder: Path, logging: Logging | None) -> tuple[Simulation, Any]:
+    """Return what simulates a share, and what its frames come from: the same, or one that logs them."""
+    if logging is None:
+        simulation = job.simulation(share)
+        return simulation, simulation
+    logging.check_share(job.scene, share)
+    if share.index:
+        raise InputError(f"--log: meshes are simulated by the first shard, not by --shard {share.index + 1}")
+    from .log.source import LoggedSimulation
+
+    logged = LoggedSimulation(job, logging, share=share, folder=folder)
+    return logged.simulation, logged
+
+
 @dataclass(frozen=True)
 class _Shown:
     """What progress shows of a frame."""
@@ -117,7 +136,9 @@ class _Shown:
         return self.report.frame
 
 
-def _start(job: Job, folder: Path, identity: str, merged: int, tell: Callable[[str], None]) -> Start:
+def _start(
+    job: Job, folder: Path, identity: str, merged: int, tell: Callable[[str], None], *, last: Path | None
+) -> Start:
     if not job.options.resume:
         shutil.rmtree(folder / output.CHECKPOINTS, ignore_errors=True)
         return Start(job.frames)
@@ -125,34 +146,30 @@ def _start(job: Job, folder: Path, identity: str, merged: int, tell: Callable[[s
     def whole(number: int, _: Mapping[str, Any]) -> bool:
         if number <= merged:
             return True
+        total = np.zeros((job.size[1], job.size[0], 3), np.int64)
         try:
-            add_piece(
-                folder,
-                number,
-                np.zeros((job.size[1], job.size[0], 3), np.int64),
-                version=__version__,
-                identity=identity,
-            )
+            piece = add_piece(folder, number, total, version=__version__, identity=identity)
         except InputError:
             return False
-        return True
+        return not job.options.states or bool(from_sections(piece))
 
     rows = [{"frame": number} for number in job.frames]
-    return find_start(job.frames, rows, check=whole, folder=folder / output.CHECKPOINTS, identity=identity, tell=tell)
+    check = whole if last is None else with_last(whole, job.frames[-1], last)
+    return find_start(job.frames, rows, check=check, folder=folder / output.CHECKPOINTS, identity=identity, tell=tell)
 
 
-def _write(folder: Path, sums: np.ndarray, report: FrameReport, identity: str) -> None:
+def _write(folder: Path, sums: np.ndarray, report: FrameReport, identity: str, states: Mapping[str, State]) -> None:
     row = report.row()
     row |= {f"ms {part}": ms for part, ms in row.pop("ms").items()}
     try:
-        write_piece(folder, sums, row, version=__version__, identity=identity)
+        write_piece(folder, sums, row, version=__version__, identity=identity, more=sections(states))
     except OSError as error:
         raise RunError(f"cannot write {piece_path(folder, report.frame)}: {reason(error)}") from error
 
 
 def _check_parent() -> None:
     """End with the process that we work for: it may have been killed."""
-    parent = os.environ.get(_PARENT)
+    parent = os.environ.get(PARENT)
     if parent is not None and int(parent) != os.getppid():
         raise RunError("the process that merges the shards is gone")
 
@@ -168,13 +185,14 @@ class Merge:
     job: Job
     count: int
     begin: Callable[[int], None] = field(default=lambda merged: None)
-    wait: Callable[[int, Path], None] = field(default=lambda index, path: _missing(index, path))
+    wait: Callable[[int, Path], None] = field(default=lambda index, path: missing(index, path))
 
     def __post_init__(self) -> None:
         o = self.job.options
         self.backend = backend.start(arch=o.arch, threads=o.threads, precision=o.precision)
         self._film = make_film(self.job.scene, self.job.size, capacity=_LEAST_DOTS)
         self._table, self._film_max = self.job.scene.look.display_table()
+        self._states = StateMerge(self.job.scene) if o.states else None
 
     def frames(self, numbers: Sequence[int], *, after: Callable[[int], None]) -> Iterator[Frame]:
         """Yield the frames `numbers`, each when all of its pieces are there."""
@@ -184,12 +202,15 @@ class Merge:
         for number in numbers:
             total = np.zeros((height, width, 3), np.int64)
             report = FrameReport(number, 0.0)
+            states = []
             for index in range(self.count):
-                _count_in(report, self._add(index, number, total))
+                piece = self._add(index, number, total)
+                _count_in(report, piece["row"])
+                states.append(from_sections(piece))
             self._film.clear()
             self._film.merge(total)
             image = self._film.develop(self._table, self._film_max, dither=self.job.scene.look.dither)
-            yield Frame(number, image, report, None)
+            yield _Summed(number, image, report, None, self._states.merged(states) if self._states else {})
             after(number)
 
     def _add(self, index: int, number: int, total: np.ndarray) -> dict[str, Any]:
@@ -199,7 +220,10 @@ class Merge:
         while not path.exists():
             self.wait(index, path)
         identity = _identity(self.job, self.backend.arch, share)
-        return add_piece(folder, number, total, version=__version__, identity=identity)
+        piece = add_piece(folder, number, total, version=__version__, identity=identity)
+        if self._states and not from_sections(piece):
+            raise InputError(f"film {path} is refused: it holds no states; render it with --states --shard {index + 1}")
+        return piece
 
     def finished(self, number: int) -> None:
         """Remove the pieces of a frame that is on the disk."""
@@ -214,8 +238,15 @@ class Merge:
         """Do nothing."""
 
 
-def _missing(index: int, path: Path) -> None:
-    raise RunError(f"{path} is missing: render it with --shard {index + 1}")
+@dataclass
+class _Summed(Frame):
+    """A frame made of pieces."""
+
+    states: dict[str, State]
+
+    def state(self) -> dict[str, State]:
+        """Return the living of all shards, by group."""
+        return self.states
 
 
 def _count_in(report: FrameReport, row: dict[str, Any]) -> None:
@@ -236,9 +267,17 @@ def merge_shards(
 ) -> dict[str, Any]:
     """Make the film of the pieces that `count` shards have left; return what run.json holds. Raises as `Job.run`."""
     check_shards(job, count)
-    run = job.run(progress, tell=tell, source=lambda: Merge(job, count))
-    shutil.rmtree(job.out / output.SHARDS, ignore_errors=True)
+    run = job.run(progress, tell=tell, source=lambda: Merge(job, count), anywhere=True)
+    _clear(job, count)
     return run
+
+
+def _clear(job: Job, count: int) -> None:
+    """Remove what the shards have left, but for the log."""
+    log = folder_of(job.out, Share(0, count)) / LOG
+    if log.is_file():
+        os.replace(log, job.out / LOG)
+    shutil.rmtree(job.out / output.SHARDS, ignore_errors=True)
 
 
 def render_in_shards(
@@ -250,10 +289,12 @@ def render_in_shards(
     workers: int | None,
     tell: Callable[[str], None],
     announce: Callable[[str], None] | None = None,
+    log: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Render `count` shards by processes of this machine, `workers` at a time, and merge them as they come.
 
-    command: renders the film; each process gets it with its shard. announce: hears first what it will take. Raises as `Job.run`.
+    command: renders the film; each process gets it with its shard, the first one with the options `log`, too. announce: hears
+    first what it will take. Raises as `Job.run`.
     """
     check_shards(job, count)
     cores = backend.cores()
@@ -261,72 +302,13 @@ def render_in_shards(
     command = [*command, "--threads", str(job.options.threads or max(1, cores // workers))]
     if announce is not None:
         announce(estimate(job, count, workers, command))
-    crew = _Crew(job, count, workers, [*command, "--shards", str(count)])
+    crew = Crew(job, count, workers, [*command, "--shards", str(count)], log)
     try:
-        run = job.run(progress, tell=tell, source=lambda: Merge(job, count, begin=crew.begin, wait=crew.wait))
+        source = functools.partial(Merge, job, count, begin=crew.begin, wait=crew.wait)
+        logged = not log or (folder_of(job.out, Share(0, count)) / LOG).is_file()
+        run = job.run(progress, tell=tell, source=source, anywhere=True, last=None if logged else job.out / LOG)
+        crew.finish()
     finally:
         crew.stop()
-    shutil.rmtree(job.out / output.SHARDS, ignore_errors=True)
+    _clear(job, count)
     return run
-
-
-class _Crew:
-    """The processes that render the shards of a film on this machine."""
-
-    def __init__(self, job: Job, count: int, workers: int, command: list[str]):
-        self._job, self._command, self._workers = job, command, workers
-        self._waiting = [Share(index, count) for index in range(count)]
-        self._running: dict[int, subprocess.Popen[str]] = {}
-        self._merged = 0
-
-    def begin(self, merged: int) -> None:
-        """Start the first processes; frames up to `merged` are done."""
-        self._merged = merged
-        if not self._job.options.resume:
-            shutil.rmtree(self._job.out / output.SHARDS, ignore_errors=True)
-        self._fill()
-
-    def wait(self, index: int, path: Path) -> None:
-        """Wait a moment for a piece of a shard. Raises what a shard failed with."""
-        for other, process in list(self._running.items()):
-            if process.poll() is not None:
-                del self._running[other]
-                said = process.communicate()[1]
-                if process.returncode:
-                    raise _failure(other, process.returncode, said)
-        self._fill()
-        if index not in self._running and all(share.index != index for share in self._waiting) and not path.exists():
-            _missing(index, path)
-        time.sleep(_LOOK)
-
-    def stop(self) -> None:
-        """End the processes that run."""
-        for process in self._running.values():
-            process.terminate()
-        for process in self._running.values():
-            try:
-                process.communicate(timeout=_PATIENCE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
-
-    def _fill(self) -> None:
-        while self._waiting and len(self._running) < self._workers:
-            share = self._waiting.pop(0)
-            self._running[share.index] = subprocess.Popen(
-                [*self._command, "--quiet", "--shard", str(share.index + 1), "--merged", str(self._merged)],
-                env=os.environ | {_PARENT: str(os.getpid())},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                start_new_session=True,  # Ctrl-C is ours to pass on
-            )
-
-
-def _failure(index: int, code: int, said: str) -> TparticlesError:
-    """Return what a shard ended with: the last line that it said."""
-    lines = said.strip().splitlines()
-    last = lines[-1].removeprefix("error: ") if lines else f"it ended with code {code}"
-    kind = InputError if code == InputError.exit_code else RunError
-    return kind(f"shard {index + 1}: {last}")

@@ -205,7 +205,6 @@ class Simulation:
         for spec in scene.meshes if share.index == 0 else ():  # whose vertices depend on each other: no shares of them
             from .mesh_motion import MeshMotion  # here: a film without meshes starts sooner
 
-            backend.lay_out()
             self.groups.append(
                 MeshMotion(
                     spec,
@@ -285,8 +284,12 @@ class Simulation:
         """Go on from a `snapshot` of a simulation of the same scene: the frames to come have the same bits.
 
         Raises:
-            RunError: it is of another scene.
+            RunError: it is of another scene; InputError: a log goes with it, which this does not continue.
         """
+        if "log" in state:
+            raise InputError(
+                "the checkpoint is of a run with a log: resume with the same --log, or begin anew without --resume"
+            )
         if list(state) != ["film", *(f"group {group.spec.name}" for group in self.groups)]:
             raise RunError(f"the state holds {', '.join(state)}: it is of another scene")
         for group in self.groups:

@@ -73,7 +73,8 @@ def test_a_killed_worker_s_film_is_rendered_elsewhere_with_the_same_pixels(
 ) -> None:
     sweep = run.start("sweep", "dots", "--seeds", "1-2", *FRAMES, "--out", "o", "--dask", dask.address, "--json")
     jobs = [tmp_path / "o/jobs" / name for name in ("seed=1", "seed=2")]
-    until(lambda: all(len(list(job.glob("frames/*.png"))) > 10 for job in jobs), sweep)
+    # of the other nothing is asked: its worker may begin much later on a busy machine
+    until(lambda: len(list(jobs[0].glob("frames/*.png"))) > 10, sweep)
     owner = (jobs[0] / ".tparticles.lock").read_text().split()[0]
     parent = int((Path("/proc") / owner / "stat").read_text().rpartition(")")[2].split()[1])
     kill(parent)

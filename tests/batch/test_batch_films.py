@@ -71,6 +71,14 @@ def test_a_sweep_from_nothing_to_everything_there(run: Commands, tmp_path: Path)
     assert (tmp_path / "o/jobs/rate=20/run.json").stat().st_mtime_ns == before[tmp_path / "o/jobs/rate=20/run.json"]
     assert hashes(tmp_path / "o/jobs/rate=60") == hashes(tmp_path / "alone")
 
+    # a record that is lost or broken costs no film
+    (tmp_path / "o/batch.json").write_text("{")
+    run(*arguments).refused(2, "o/batch.json is broken", "move it away, and the films that are there are taken up")
+    (tmp_path / "o/batch.json").unlink()
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "o/jobs").rglob("*") if p.is_file()}
+    assert run(*arguments).code == 0
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "o/jobs").rglob("*") if p.is_file()} == before
+
     # another text of the scene makes the results stale
     scene = tmp_path / "scenes/dots.py"
     scene.write_text(scene.read_text().replace("circulation=20.0", "circulation=21.0"))
@@ -189,7 +197,7 @@ def test_bad_input_is_one_line_before_anything_is_written(tmp_path: Path, capfd:
         (line,) = captured.err.splitlines()
         assert words in line, (arguments, line)
         assert not (tmp_path / "nowhere").exists()
-        assert not list(tmp_path.glob("o/*"))
+        assert not (tmp_path / "o").exists()
 
 
 def test_jobs_of_a_file_with_a_script_from_elsewhere(run: Commands, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from fractions import Fraction
@@ -79,6 +80,13 @@ def test_a_still_that_is_no_picture_is_left_out(record: Record) -> None:
 def test_many_films_take_several_sheets(tmp_path: Path) -> None:
     record = Record(tmp_path, [Entry(Task(name=f"seed={i}", scene="s", seed=i)) for i in range(101)])
     assert [path.name for path in gallery.show(record)] == ["contact.png", "contact-2.png", "index.html"]
+
+
+def test_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xff\n<b>")
+    folder.mkdir()
+    gallery.show(Record(folder, [Entry(Task(name="a", scene="s"))]))
+    assert "\\udcff\n&lt;b&gt;</h1>" in (folder / gallery.PAGE_NAME).read_text()
 
 
 @pytest.fixture

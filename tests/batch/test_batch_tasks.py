@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tparticles.batch.jobs_file import read_jobs
-from tparticles.batch.record import Entry, Record, read_record
+from tparticles.batch.record import Entry, Record, prepare_folder, read_record
 from tparticles.batch.tasks import Task, check_scene, make_name, named
 from tparticles.errors import InputError
 
@@ -201,6 +201,19 @@ def test_a_broken_record_is_refused_by_name(tmp_path: Path, change) -> None:
     (tmp_path / "batch.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"batch\.json is broken"):
         read_record(tmp_path)
+
+
+def test_a_folder_without_a_record_is_taken_up_if_only_the_record_is_missing(tmp_path: Path) -> None:
+    tasks = [Task(name="a", scene="s")]
+    folder = tmp_path / "o"
+    for name in ("jobs", "logs"):
+        (folder / name).mkdir(parents=True)
+    for name in ("index.html", "contact.png", "contact-2.png"):
+        (folder / name).touch()
+    assert prepare_folder(folder, tasks, replace=False).counts()["waiting"] == 1
+    (folder / "letter.txt").touch()
+    with pytest.raises(InputError, match=r"holds contact-2\.png, contact\.png, index\.html, \.\.\. but no batch\.json"):
+        prepare_folder(folder, tasks, replace=True)
 
 
 @pytest.mark.parametrize("text", ["", "[", "[" * 100000, "\0", "null"])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.bench.table import Table
 
-SCHEMES = ("rk4", "dormand-prince", "abm4", "milne", "tr-bdf2", "rk4 doubled")
+SCHEMES = ("rk4", "dormand-prince", "dop853", "abm4", "milne", "tr-bdf2", "rk4 doubled")
 
 
 def film(name: str):

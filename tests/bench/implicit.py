@@ -134,9 +134,19 @@ class Explicit:
 
 def stiffness(size: int, seconds: float) -> None:
     """Print seconds per simulated second against S, both ways."""
-    columns = ("S", "solver", "Newton iterations a step", "not converged", "implicit s/s", "explicit s/s", "ratio")
+    columns = (
+        "S",
+        "solver",
+        "Newton iterations a step",
+        "not converged",
+        "implicit s/s",
+        "growth",
+        "explicit s/s",
+        "ratio",
+    )
     table = Table(f"Cloth {size}^2, {seconds:g} s at {FPS} steps a second", columns)
-    for ratio in (1e4, 1e5, 1e6, 1e7, 1e8):
+    first = 0.0
+    for ratio in (1e4, 1e6, 1e7, 1e8):
         mesh, x = sheet(size, ratio)
         film = Implicit(mesh, x, np.float32)
         steps, start = round(seconds * FPS), time.perf_counter()
@@ -144,8 +154,10 @@ def stiffness(size: int, seconds: float) -> None:
             film.euler(1 / FPS)
         cost = (time.perf_counter() - start) / seconds
         peer = Explicit(mesh, x, np.float32).seconds_per_second()
+        first = first or cost
         counts = (film.method, f"{film.iterations / steps:.2f}", film.failures)
-        table.add(f"{ratio:.0e}", *counts, f"{cost:.2f}", f"{peer:.2f}", f"{peer / cost:.1f}")
+        cells = (f"{cost:.2f}", f"{cost / first:.2f}", f"{peer:.2f}", f"{peer / cost:.1f}")
+        table.add(f"{ratio:.0e}", *counts, *cells)
     table.print()
 
 
@@ -154,7 +166,7 @@ def settled(size: int, seconds: float) -> None:
     table = Table(
         f"Cloth {size}^2 settled for {seconds:g} s", ("S", f"largest distance, pixels ({PIXELS} to the metre)", "mean")
     )
-    for ratio in (1e4, 1e6):
+    for ratio in (1e4, 1e7, 1e8):
         mesh, x = sheet(size, ratio)
         mesh["fixed"] = np.arange(size**2) < size
         film, peer = Implicit(mesh, x, np.float32), Explicit(mesh, x, np.float64)
@@ -172,12 +184,12 @@ def against_scipy(size: int, ratio: float, seconds: float) -> None:
 
     mesh, x = sheet(size, ratio)
     slope, jacobian = first_order(mesh)
-    reference = Implicit(mesh, x, np.float64, 1e-7)
-    for _ in range(512):
-        reference.sdirk2(seconds / 512)
+    begin = np.concatenate([x.ravel(), np.zeros(x.size)])
+    exact = solve_ivp(slope, (0.0, seconds), begin, "DOP853", rtol=1e-8, atol=1e-10, t_eval=[seconds])
+    reference = exact.y[: x.size, -1].reshape(-1, 3)
 
     def error(end: np.ndarray) -> str:
-        return f"{np.abs(end - reference.x).max() * 1e3:.3g}"
+        return f"{np.abs(end - reference).max() * 1e3:.3g}"
 
     table = Table(f"Cloth {size}^2, S = {ratio:.0e}, {seconds:g} s", ("method", "error, mm", "seconds"))
     for steps in (16, 64, 256):
@@ -185,8 +197,7 @@ def against_scipy(size: int, ratio: float, seconds: float) -> None:
         for _ in range(steps):
             film.sdirk2(seconds / steps)
         table.add(f"SDIRK2, {steps} steps", error(film.x), f"{time.perf_counter() - start:.2f}")
-    begin = np.concatenate([x.ravel(), np.zeros(x.size)])
-    for method, tolerance in (("BDF", 1e-2), ("BDF", 1e-3), ("Radau", 1e-2)):
+    for method, tolerance in (("Radau", 1e-1), ("Radau", 1e-2)):  # BDF took longer than either
         start = time.perf_counter()
         found = solve_ivp(slope, (0.0, seconds), begin, method, rtol=tolerance, atol=tolerance * 1e-2, jac=jacobian)
         end = found.y[: x.size, -1].reshape(-1, 3)
@@ -232,7 +243,7 @@ def first_order(mesh: dict):
 def main(size: int = 128, seconds: float = 4.0) -> None:
     """Print the three tables."""
     stiffness(size, seconds)
-    settled(32, 10.0)
+    settled(16, 10.0)
     against_scipy(32, 1e5, 0.25)
 
 

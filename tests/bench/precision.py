@@ -11,7 +11,7 @@ from tparticles.studies.work_problems import WORKS
 
 SCHEMES = {
     "stiff-drag": ("rk4", "sdirk2", "sdirk3", "tr-bdf2", "bdf3", "bdf4"),
-    "abc": ("rk3", "rk4", "dormand-prince", "ab4", "abm4"),
+    "abc": ("rk4", "dormand-prince", "dop853", "ab4", "abm4"),
 }
 WANTED = 50
 

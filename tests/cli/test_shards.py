@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from commands import ROOT, SAME_BACKEND, Run, Write, command, run_process, write_scene
 
@@ -45,21 +46,27 @@ def whole(tmp_path_factory: pytest.TempPathFactory, kernel_cache: None) -> Path:
     """The film of all particles, by one process."""
     folder = tmp_path_factory.mktemp("whole")
     write_scene(folder / "tiny.py", **PARTS)
-    assert run_process(*RENDER, "--out", "o", *SAME_BACKEND, folder=folder).code == 0
+    assert run_process(*RENDER, "--states", "--out", "o", *SAME_BACKEND, folder=folder).code == 0
     return folder / "o"
 
 
-def check_same(folder: Path, whole: Path) -> None:
+def check_same(folder: Path, whole: Path, *, states: bool = False) -> None:
     assert rows(folder) == rows(whole)
     assert (folder / "tiny.mp4").read_bytes() == (whole / "tiny.mp4").read_bytes()
-    assert sorted(path.name for path in folder.iterdir()) == ["frames", "run.json", "tiny.mp4"]
+    assert sorted(path.name for path in folder.iterdir()) == ["frames", "run.json", *["states"] * states, "tiny.mp4"]
+    for path in sorted((whole / "states").iterdir()) if states else ():
+        with np.load(path) as ones, np.load(folder / "states" / path.name) as others:
+            assert sorted(ones) == sorted(others)
+            for name in ones:
+                assert ones[name].dtype == others[name].dtype and len(ones[name]) > 1
+                assert ones[name].tobytes() == others[name].tobytes(), (path.name, name)
 
 
 def test_two_processes_and_one_that_merges(scene: Write, whole: Path, tmp_path: Path) -> None:
     scene(**PARTS)
-    result = run_process(*RENDER[:-1], "--out", "o", "--shards", "2")
+    result = run_process(*RENDER[:-1], "--out", "o", "--shards", "2", "--states")
     assert result.code == 0, result
-    check_same(tmp_path / "o", whole)
+    check_same(tmp_path / "o", whole, states=True)
     assert "2 shards on " in result.err and "MiB" in result.err
 
 
@@ -69,6 +76,9 @@ def test_three_pieces_on_machines_of_their_own(scene: Write, run: Run, whole: Pa
     for k in (2, 1):
         assert run(*shards, k).code == 0
     assert sorted(path.name for path in (tmp_path / "o/shards").iterdir()) == ["1-of-3", "2-of-3"]
+    without = "film is refused: it holds no states; render it with --states"
+    run(*shards, "merge", "--states").refused(2, without)
+    (tmp_path / "o/states").rmdir()
     run(*shards, "merge").refused(1, "shards/3-of-3/000001.film is missing: render it with --shard 3")
     assert run(*shards, "3").code == 0
     damaged = tmp_path / "o/shards/2-of-3/000004.film"
@@ -126,7 +136,6 @@ def test_what_a_shard_fails_with_is_told(scene: Write, tmp_path: Path) -> None:
         (("--shards", "3", "--shard", "4"), "--shard 4: a number from 1 to 3, or merge, is needed"),
         (("--shards", "3", "--shard", "0"), "--shard 0: a number from 1 to 3"),
         (("--shards", "3", "--shard", "x"), "--shard x: a number from 1 to 3"),
-        (("--shards", "2", "--states"), "--shards: states are not merged; leave out --states"),
         (("--shards", "99999"), "--shards 99999: 1 to 10000 are allowed"),
         (("--shards", "2", "--resume", "--no-png"), "leave out --no-png"),
     ],

@@ -22,6 +22,7 @@ from tparticles.data_scene.scheme_tables import scheme_value
 from tparticles.data_scene.toml import dumps
 from tparticles.data_scene.write import write_scene
 from tparticles.errors import InputError
+from tparticles.physics.mesh_recipe import recipe
 from tparticles.scene import QUALITIES
 
 SIZE = (96, 54)
@@ -68,7 +69,7 @@ def test_a_script_and_its_document_draw_the_same_pixels(path: Path) -> None:
 @EACH
 def test_a_script_without_a_law_of_its_own_has_a_twin(path: Path) -> None:
     twin = path.parent / "data" / f"{path.stem}.toml"
-    advice = f"tparticles describe {path.stem} --toml > scenes/data/{path.stem}.toml (and meshes by their builders)"
+    advice = f"tparticles describe {path.stem} --toml > scenes/data/{path.stem}.toml"
     if reason := of_its_own(path):
         assert not twin.exists(), reason
         return
@@ -82,9 +83,16 @@ def test_every_twin_has_a_script() -> None:
     assert len(TWINS) >= 3
 
 
+PATH = tp.Track(keys=((0.0, (0.0, 0.0, 0.0)), (1.0, (0.0, 0.1, 0.0))))
+
+
+def unnamed(mesh: tp.Mesh) -> tp.Mesh:
+    """Return the same mesh without a word of how it was made."""
+    return dataclasses.replace(mesh)
+
+
 def test_a_mesh_is_written_as_its_numbers() -> None:
-    path = tp.Track(keys=((0.0, (0.0, 0.0, 0.0)), (1.0, (0.0, 0.1, 0.0))))
-    mesh = tp.cloth(counts=(3, 4), size=1.0, damping=0.1).turned((1.0, 0.2, 0.0), 40.0).driven(path, [0, 1])
+    mesh = unnamed(tp.cloth(counts=(3, 4), size=1.0, damping=0.1).turned((1.0, 0.2, 0.0), 40.0).driven(PATH, [0, 1]))
     grid = tp.Heightfield(heights=np.linspace(0.0, 1 / 3, 6).reshape(2, 3))
     group = tp.MeshGroup(name="cloth", mesh=mesh, colliders=(grid, tp.Ball(radius=0.1)), temperature=900.0)
     scene = tiny(groups=group, scheme="velocity-verlet")
@@ -93,6 +101,45 @@ def test_a_mesh_is_written_as_its_numbers() -> None:
     (row,) = write_scene(scene)["groups"]
     assert (row["kind"], row["mesh"]["mass"]) == ("MeshGroup", mesh.mass[0])
     assert "tear" not in row["mesh"], "as by default"
+
+
+MESHES = (
+    (lambda: tp.spring_box(size=(1, 2, 3), tear=0.1), "spring_box", ()),
+    (lambda: tp.sphere_shell(subdivisions=np.int64(1)).scaled(1 / 3), "sphere_shell", ("scaled",)),
+    (
+        lambda: tp.cloth(counts=[3, 4]).turned((0, 1, 0), 30).pin(where=lambda x: x[:, 2] > 0.1),
+        "cloth",
+        ("turned", "pin"),
+    ),
+    (lambda: tp.lattice(counts=3).pin(where=tp.Box(low=(-1, -1, -1), high=(0, 0, 0))), "lattice", ("pin",)),
+    (lambda: tp.rope(count=5).driven(PATH, range(2)).launched(spin=(0, 0, 1.5)), "rope", ("driven", "launched")),
+    (
+        lambda: tp.rope().joined(unnamed(tp.rope()).moved((0, 1, 0))).with_springs([[0, 32]], tear=[np.inf], rest=0.5),
+        "rope",
+        ("joined", "with_springs"),
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("make", "builder", "changes"), MESHES, ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_a_built_mesh_is_written_by_its_builder(make, builder: str, changes: tuple[str, ...]) -> None:
+    mesh = make()
+    scene = tiny(groups=tp.MeshGroup(name="mesh", mesh=mesh), scheme="velocity-verlet")
+    assert again(scene) == scene
+    (row,) = write_scene(scene)["groups"]
+    assert row["mesh"]["kind"] == builder and "x" not in row["mesh"]
+    assert tuple(change["kind"] for change in row["mesh"].get("then", ())) == changes
+
+
+def test_a_builder_that_would_make_another_mesh_is_not_named() -> None:
+    size = np.array([1.0, 2.0])
+    scene = tiny(groups=tp.MeshGroup(name="cloth", mesh=tp.cloth(counts=3, size=size)), scheme="velocity-verlet")
+    recipe(scene.groups[0].mesh)[0][1]["size"][:] = 5.0
+    (row,) = write_scene(scene)["groups"]
+    assert "x" in row["mesh"]
+    assert again(scene) == scene
 
 
 def test_a_mesh_that_tears_in_places() -> None:

@@ -209,7 +209,10 @@ BAD = (
     (("render", "{script}", "--log-every", "2"), "without --log"),
     (("render", "{script}", "--log", "--log-group", "bux", "--out", "o"), "did you mean 'box'"),
     (("render", "{script}", "--log", "--log-ids", "5,900", "--log-group", "box", "--out", "o"), "vertices 0-7"),
-    (("render", "{script}", "--log", "--resume", "--out", "o"), "--resume"),
+    (("render", "{script}", "--log", "--shards", "2", "--out", "o"), "take --log-group box --log-group cloth"),
+    (("render", "{script}", "--log", "--log-group", "bax", "--shards", "2", "--out", "o"), "did you mean 'box'"),
+    (("render", "{script}", "--log", "--log-group", "box", "--shards", "2", "--shard", "2", "--out", "o"), "--shard 2"),
+    (("render", "{script}", "--log", "--shards", "2", "--shard", "merge", "--out", "o"), "where you merge"),
 )  # fmt: skip
 
 

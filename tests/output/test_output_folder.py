@@ -56,7 +56,7 @@ def manifest_is_a_folder(path: Path) -> None:
 
 
 KEPT, REMOVED = "kept", "removed"
-STALE = "rendered with other parameters or settings: replace it with --existing overwrite, or .* with --out"
+STALE = "rendered with other parameters or settings, or by another version: replace it with --existing overwrite, or .* with --out"
 NOT_OURS = r"holds a\.txt, b\.txt, c\.txt, \.\.\. but no run\.json, so it is not ours.*--out"
 BROKEN = r"not known to be ours: .*run\.json is broken: .*--out"
 POLICY = [

@@ -103,8 +103,10 @@ def test_a_strange_lock_file_is_shown_as_nothing(tmp_path: Path, text: str) -> N
             pass
 
 
-@pytest.mark.parametrize("name", ["file", "file/below", "x" * 300, "a\0b"])
+@pytest.mark.parametrize("name", ["file", "file/below", "x" * 300, "a\0b", "link", "loop"])
 def test_what_cannot_be_a_folder_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("nowhere")
+    (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(InputError, match="output folder"), held_folder(tmp_path / name):
         pass

@@ -237,9 +237,7 @@ def spin(bench, x, px, *, frame=1 / 24):
     row = camera_row(pose, 1280, 720)
     bench.set("x", x)
     bench.set("birth", 0.0)
-    report = bench.run(
-        "bogacki-shampine", 0.0, frame, frame, lanes=1, tolerance=PixelTolerance(px=px, frames=1), camera=row
-    )
+    report = bench.run("bogacki-shampine", 0.0, frame, frame, lanes=1, tolerance=PixelTolerance(px=px), camera=row)
     return report, bench.get("x"), row
 
 
@@ -254,7 +252,7 @@ def camera_steps(distance):
     bench.set("x", (0.4, 0.0, 0.3))
     return sum(
         bench.run(
-            "bogacki-shampine", k, k + 1, 1.0, lanes=1, tolerance=PixelTolerance(px=0.5, frames=1), camera=row
+            "bogacki-shampine", k, k + 1, 1.0, lanes=1, tolerance=PixelTolerance(px=0.5, growth=1), camera=row
         ).steps
         for k in range(3)
     )

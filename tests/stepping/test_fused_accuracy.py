@@ -90,6 +90,17 @@ def slope(errors, steps):
 
 
 STEPS = (16, 32, 64, 128, 256)
+_HIGH = 8  # an order whose errors reach rounding before their leading term rules alone: the slope may be steeper
+
+
+def steps_for(scheme):
+    """Return how many steps to try."""
+    return STEPS if scheme.order < _HIGH else (2, 3, 4, 6, 8)
+
+
+def check_order(scheme, errors):
+    above = 0.1 if scheme.order < _HIGH else 0.8
+    assert scheme.order - 0.1 < slope(errors, steps_for(scheme)) < scheme.order + above, errors
 
 
 def _lanes(scheme):
@@ -100,13 +111,13 @@ def _lanes(scheme):
 @BY_NAME
 def test_order_of_a_first_order_system(swelling, scheme):
     c, errors = np.linspace(0.5, 1.5, COUNT), []
-    for n in STEPS:
+    for n in steps_for(scheme):
         swelling.set("x", Swelling.solution(0.5, c))
         swelling.set("birth", -1.0)
         report = swelling.run(scheme, 0.5, 2.0, 1.5 / n)
         assert report.steps == n * COUNT
         errors.append(np.abs(swelling.get("x") - Swelling.solution(2.0, c)).max())
-    assert slope(errors, STEPS) == pytest.approx(scheme.order, abs=0.1), errors
+    check_order(scheme, errors)
 
 
 @BY_NAME
@@ -114,12 +125,12 @@ def test_order_of_a_second_order_system(oscillator, scheme):
     rng = np.random.default_rng(1)
     x0, v0 = rng.uniform(-1, 1, (2, COUNT, 3))
     exact, errors = oscillator.system.forces[0].solution(1.5, x0, v0), []
-    for n in STEPS:
+    for n in steps_for(scheme):
         oscillator.set("x", x0)
         oscillator.set("v", v0)
         oscillator.run(scheme, 0.0, 1.5, 1.5 / n, lanes=_lanes(scheme))
         errors.append(np.abs(oscillator.get("x") - exact).max())
-    assert slope(errors, STEPS) == pytest.approx(scheme.order, abs=0.1), errors
+    check_order(scheme, errors)
 
 
 @pytest.mark.parametrize("scheme", [schemes.get("rk4")], ids=lambda scheme: scheme.name)
@@ -175,7 +186,7 @@ def test_births_inside_a_frame_keep_the_order(swelling, scheme):
     # Born anywhere in the frame, from the state of the closed form at birth: at its end as accurate as all others.
     birth, c, errors = np.linspace(0.5, 1.99, COUNT), np.linspace(0.5, 1.5, COUNT), []
     born = Swelling.solution(birth, c)
-    for n in STEPS:
+    for n in steps_for(scheme):
         swelling.set("x", born)
         swelling.set("birth", birth)
         report = swelling.run(scheme, 0.5, 2.0, 1.5 / n)
@@ -185,7 +196,7 @@ def test_births_inside_a_frame_keep_the_order(swelling, scheme):
         assert report.dt_min == pytest.approx(min(equal(s, 1.5 / n, 1.5) for s in spans), rel=1e-6)
         errors.append(np.abs(swelling.get("x") - Swelling.solution(2.0, c)).max())
     swelling.set("birth", 0.0)
-    assert slope(errors, STEPS) == pytest.approx(scheme.order, abs=0.1), errors
+    check_order(scheme, errors)
 
 
 def test_a_birth_at_the_end_of_a_frame_changes_nothing(swelling):

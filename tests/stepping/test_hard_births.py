@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from fused_bench import SCHEMES, Particles
-from test_fused_accuracy import COUNT, STEPS, Oscillator, Swelling, slope
+from test_fused_accuracy import COUNT, Oscillator, Swelling, slope, steps_for
 
 import tparticles as tp
 
@@ -77,11 +77,11 @@ def test_the_order_is_kept_from_birth(swelling, oscillator, scheme):
     bench, birth = bench_of(scheme, swelling, oscillator), np.linspace(T0, T0 + 1.0, COUNT)
     state, exact = born(bench, birth)
     errors = []
-    for n in STEPS:
+    for n in steps_for(scheme):
         z = advance(bench, scheme, state, birth, 1.5 / n, frames=1)
         errors.append(np.sqrt(((z[:, :3] - exact) ** 2).mean()))
     # Births are off the grid of steps, so the steps of each are of a size of its own: the slope is a little rough.
-    assert slope(errors, STEPS) > scheme.order - 0.25, errors
+    assert slope(errors, steps_for(scheme)) > scheme.order - 0.25, errors
 
 
 def test_a_death_and_a_birth_in_its_slot_do_not_inherit_a_past(swelling):

@@ -8,7 +8,7 @@ import pytest
 from tparticles.errors import InputError
 from tparticles.stepping import mesh_solver_direct as direct
 from tparticles.stepping.mesh_solver import MeshSolver
-from tparticles.stepping.mesh_solver_matrix import Springs, StepMatrix, UpperPattern
+from tparticles.stepping.mesh_solver_matrix import Springs, StepMatrix, UpperPattern, steadied
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 H = 1 / 24
@@ -222,6 +222,23 @@ def test_compressed_springs_leave_the_matrix_positive_definite(squeeze):
     assert np.linalg.eigvalsh(a).min() > 0.0
     y = np.random.default_rng(1).standard_normal(18)
     np.testing.assert_allclose(upper.pack(matrix @ upper.unpack(y, 8)), a @ y, rtol=1e-9)
+
+
+def test_a_pull_that_compressed_springs_cancel_does_not_hold_a_strip():
+    # Structural springs pull with 1 N, bend springs over two of them push with as much: no stress along the strip.
+    n = np.arange(9)
+    pairs = np.concatenate([np.stack([n[:-1], n[1:]], 1), np.stack([n[:-2], n[2:]], 1)])
+    springs = Springs(*pairs.T, np.ones(15), np.zeros(15), np.ones(15), np.ones(9), np.ones(9, bool))
+    length = np.repeat([1.0, 2.0], [8, 7])
+    u = np.array([[1.0], [0.0], [0.0]]) * np.ones(15)
+    found = steadied(springs, np.repeat([2.0, -1.0], [8, 7]), length, u)
+    np.testing.assert_allclose(found[2:6], 0.0, atol=1e-12)
+    pulled = np.repeat([3.0, 1.0], [8, 7])
+    np.testing.assert_array_equal(steadied(springs, pulled, length, u), pulled)
+    half = np.repeat([3.0, -1.0], [8, 7])  # 2 N are left over
+    through = steadied(springs, half, length, u)
+    assert through[3] + 2 * through[11] == pytest.approx(3.0 - 2.0, rel=0.3)
+    assert (through >= 0.0).all()
 
 
 @pytest.mark.skipif(not direct.available(), reason="neither MKL nor scipy is installed")

@@ -47,6 +47,16 @@ def test_a_launch_for_every_evaluation_gives_the_same_as_one_for_all_steps(name)
     assert np.array_equal(*states)
 
 
+@pytest.mark.parametrize("name", FAMILIES)
+def test_steps_that_something_may_come_between_give_the_same_as_steps_on_end(name):
+    states = []
+    for colliders in ((), (tp.Plane(point=(0.0, 0.0, -1e3)),)):
+        bench = motion(triangle(0.0), scheme=name, colliders=colliders)
+        run(bench, 2)
+        states.append(bench.system.read())
+    assert np.array_equal(*states)
+
+
 @pytest.mark.parametrize("scheme", [s for s in SCHEMES if s.implicit], ids=lambda s: s.name)
 def test_an_implicit_scheme_does_what_its_program_says(scheme):
     mesh = triangle()

@@ -13,7 +13,7 @@ from tparticles.studies.problems import Shaken
 
 SCHEMES = tuple(schemes.CATALOGUE.values())
 # Implicit ones cost the interpreter milliseconds a step: few particles, and no more steps than the fit needs.
-_LONG = {1: 6, 2: 7, 3: 8, 4: 9, 5: 6}
+_LONG = {1: 6, 2: 7, 3: 8, 4: 9, 5: 6, 8: 4}
 
 
 def check(curve):
@@ -26,7 +26,10 @@ EXPLICIT = [(s, p) for s in SCHEMES for p in PROBLEMS if not s.implicit and appl
 @pytest.mark.parametrize(("scheme", "problem"), EXPLICIT, ids=[f"{s.name}, {p.name}" for s, p in EXPLICIT])
 def test_every_explicit_scheme_has_its_order(scheme, problem):
     last = _LONG[scheme.order]
-    found = order.study([scheme], problems=[problem], steps=[2**k for k in range(2, last + 1)], count=2, engine=False)
+    first = 2 if scheme.order < 8 else 0
+    found = order.study(
+        [scheme], problems=[problem], steps=[2**k for k in range(first, last + 1)], count=2, engine=False
+    )
     check(found.curves[0])
 
 

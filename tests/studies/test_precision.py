@@ -81,6 +81,26 @@ def test_the_engine_solves_stiff_sparks_with_few_steps(orbits):
     assert peers.INSTALL in result.notes
 
 
+@pytest.mark.skipif(not peers.has_scipy(), reason="scipy is an extra")
+def test_a_stiff_cloth_is_solved_as_one_mesh_beside_scipy():
+    work = WORKS["cloth-1e4"]
+    chosen = [schemes.get(name) for name in ("rk4", "bdf2")]
+    result = precision.study(
+        "cloth-1e4", work, chosen, precisions=["f64"], steps=[48, 96, 192], peer_tolerances=[1e-4], peer_limit=3.0
+    )
+    assert result.particles == 256 and {p.control for p in result.points if not p.peer} == {"fixed"}
+    _, coarse, fine = (p.largest for p in line(result, "rk4", "fixed"))
+    assert math.log2(coarse / fine) == pytest.approx(4, abs=0.5)
+    errors = [p.largest for p in line(result, "bdf2", "fixed")]
+    assert max(errors[1:]) < 0.25 * errors[0]
+    assert any(p.peer and p.solver == "scipy DOP853 whole" and p.largest < 1e-3 for p in result.points)
+    problem, z = work.problem, work.problem.start(0) + 1e-3 * np.random.default_rng(0).standard_normal((6, 256))
+    change = np.random.default_rng(1).standard_normal(z.shape) * ~problem.mesh.pinned
+    slope = (problem.rate(0.0, z + 1e-6 * change) - problem.rate(0.0, z - 1e-6 * change)) / 2e-6
+    found = problem.jacobian(0.0, z) @ change.ravel()
+    np.testing.assert_allclose(found, slope.ravel(), atol=1e-7 * np.abs(slope).max())
+
+
 def point(solver="rk4", seconds=1.0, largest=1e-3, **more):
     values = {"control": "fixed", "precision": "f64", "setting": 0.1, "evaluations": 1.0, "steps": 1.0, "median": 0.0}
     return Point(solver=solver, seconds=seconds, largest=largest, **values | more)
@@ -185,6 +205,7 @@ def test_json_and_csv_agree(run, monkeypatch, orbits):
         (["kepler", "--precision", "f16"], "unknown precision 'f16'"),
         (["kepler", "--frame", "3"], "--frame belongs to scenes"),
         (["kepler", "--count", "0"], "--count"),
+        (["cloth-1e5", "--count", "9"], "'cloth-1e5' is one mesh"),
         (["kepler", "--out", " "], "--out is empty"),
         (["none.py"], "scene file 'none.py' does not exist"),
         ([], "Missing argument"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -250,9 +251,16 @@ def _begin(
         Session(Record(folder, [Entry(task) for task in found]), **run).describe()
         return
     session = Session(Record(folder, [Entry(task) for task in found]), **run)
-    with held_folder(folder):
-        session.record = prepare_folder(folder, found, replace=existing == "overwrite")
-        session.run()
+    made = not folder.exists()
+    try:
+        with held_folder(folder):
+            session.record = prepare_folder(folder, found, replace=existing == "overwrite")
+            session.run()
+    except InputError:
+        if made:
+            with contextlib.suppress(OSError):  # something is in it
+                folder.rmdir()
+        raise
 
 
 COMMANDS = (sweep, batch, status, retry, cancel)

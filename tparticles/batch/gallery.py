@@ -38,7 +38,7 @@ def show(record: Record) -> list[Path]:
         sheets.append(path)
     page = record.folder / PAGE_NAME
     with atomic_file(page) as file:
-        file.write(page_of(record).encode())
+        file.write(page_of(record).encode(errors="backslashreplace"))  # a folder's name need not be text
     return [*sheets, page]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -18,6 +19,7 @@ from .tasks import Task
 BATCH_NAME = "batch.json"
 JOBS = "jobs"  # folder of the films' folders
 STATES = ("waiting", "running", "done", "failed", "cancelled")
+_OURS = re.compile(r"jobs|logs|index\.html|contact(-[0-9]+)?\.png")  # beside it
 _VERSION = 1
 _LARGEST = 1 << 30  # bytes
 
@@ -140,12 +142,14 @@ def prepare_folder(folder: Path, tasks: Iterable[Task], *, replace: bool) -> Rec
     """
     entries = [Entry(task) for task in tasks]
     names = sorted(e.name for e in folder.iterdir() if final_name(e) is None and e.name != LOCK_NAME)
-    if names and BATCH_NAME not in names:
+    # where only the record is lost, the films know themselves what they are
+    lost = JOBS in names and all(map(_OURS.fullmatch, names))
+    if names and BATCH_NAME not in names and not lost:
         listed = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
         raise InputError(f"output folder {folder} holds {listed} but no {BATCH_NAME}: choose another with --out")
     record = Record(folder, entries)
-    if names and not replace:
-        old = read_record(folder)
+    if BATCH_NAME in names and not replace:
+        old = _earlier(folder)
         if gone := [name for name in old.entries if name not in record.entries]:
             close = nearest(gone[0], record.entries)
             raise InputError(
@@ -155,6 +159,13 @@ def prepare_folder(folder: Path, tasks: Iterable[Task], *, replace: bool) -> Rec
         for name, entry in old.entries.items():
             record[name].seconds = entry.seconds
     return record
+
+
+def _earlier(folder: Path) -> Record:
+    try:
+        return read_record(folder)
+    except InputError as error:
+        raise InputError(f"{error}; move it away, and the films that are there are taken up without it") from None
 
 
 def without_state(record: Record, states: Iterable[str] = STATES) -> None:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any, Union
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, PydanticSchemaGenerationError, TypeAdapter, WithJsonSchema
 
 from .. import schemes
@@ -54,7 +55,7 @@ TABLED: dict[type, tuple[Callable[..., Any], ...]] = {
 }
 # Methods that return a changed value: a table of such a type takes a list of tables of their arguments, `then`.
 CHANGES: dict[type, tuple[Callable[..., Any], ...]] = {
-    Mesh: (Mesh.moved, Mesh.turned, Mesh.scaled, Mesh.launched, Mesh.pin, Mesh.driven, Mesh.joined),
+    Mesh: (Mesh.moved, Mesh.turned, Mesh.scaled, Mesh.launched, Mesh.pin, Mesh.driven, Mesh.with_springs, Mesh.joined),
 }
 # What is meant where several kinds may stand and none is named.
 IMPLIED: tuple[type, ...] = (Group,)
@@ -187,6 +188,7 @@ class Kind:
 @cache
 def kind(maker: Maker) -> Kind:
     """Return the kind of table that a class, or a function, stands for."""
+    hints: dict[str, Any]
     if isinstance(maker, type):
         fields = [f for f in dataclasses.fields(maker) if f.init]
         names = [f.name for f in fields]
@@ -201,6 +203,7 @@ def kind(maker: Maker) -> Kind:
         }
         hints = typing.get_type_hints(maker, include_extras=True)
         hints |= _COEFFICIENTS if hints.get("return") is Scheme else _INDICES
+        hints = {name: _Array if hint in (ArrayLike, ArrayLike | None) else hint for name, hint in hints.items()}
     slots = {name: _slot(name, hints[name], defaults.get(name, ...)) for name in names}
     text = " ".join((inspect.getdoc(maker) or "").split())
     changes = tuple(map(_later, CHANGES.get(hints.get("return", maker), ())))

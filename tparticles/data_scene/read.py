@@ -85,7 +85,7 @@ def _blamed(path: str, name: str) -> Iterator[None]:
 
 def _read(slot: Slot, value: Any, path: str) -> Any:
     if isinstance(value, dict) and slot.single:
-        return _table(slot.single, value, path)
+        return read_table(slot.single, value, path)
     if isinstance(value, dict) and slot.listed:
         raise InputError(f"{path} is a table: should be a list of tables")
     if isinstance(value, list) and slot.listed:
@@ -101,14 +101,15 @@ def _listed(slot: Slot, values: list[Any], path: str) -> Any:
     for i, value in enumerate(values):
         if not isinstance(value, dict):
             raise InputError(f"{path}[{i}] = {_short(value)}: should be a table of kind {_any_of(slot.listed)}")
-    items = tuple(_table(slot.listed, value, f"{path}[{i}]") for i, value in enumerate(values))
+    items = tuple(read_table(slot.listed, value, f"{path}[{i}]") for i, value in enumerate(values))
     try:
         return slot.join(items)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _table(makers: tuple[Maker, ...], table: Mapping[str, Any], path: str) -> Any:
+def read_table(makers: tuple[Maker, ...], table: Mapping[str, Any], path: str) -> Any:
+    """Return what a table of one of the kinds `makers` describes. Raises InputError, with its path."""
     names = {maker.__name__: maker for maker in makers}
     rest = {key: value for key, value in table.items() if key != "kind"}
     if "kind" not in table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -11,12 +12,15 @@ import numpy as np
 from ..errors import InputError
 from ..physics.emitters import Keyed
 from ..physics.law import Sum
+from ..physics.mesh import Mesh
+from ..physics.mesh_recipe import recipe
 from ..physics.samples import Samples
 from ..physics.spread import Spread
 from ..scene import Scene
 from ..schemes import Scheme
 from .files import below
-from .kinds import CHECKS, DERIVED, Maker, Slot, implied, kind
+from .kinds import CHECKS, DERIVED, TABLED, Maker, Slot, implied, kind
+from .read import read_table
 from .scheme_tables import scheme_value
 
 
@@ -32,6 +36,8 @@ def write_scene(scene: Scene, *, summary: str = "") -> dict[str, Any]:
 
 def _table(value: Any, path: str, makers: tuple[Maker, ...]) -> dict[str, Any]:
     maker = type(value)
+    if maker is Mesh and (by_recipe := _recipe_table(value, path)):
+        return by_recipe
     if maker not in makers:
         names = ", ".join(maker.__name__ for maker in makers)
         whose = (
@@ -53,8 +59,36 @@ def _table(value: Any, path: str, makers: tuple[Maker, ...]) -> dict[str, Any]:
     return row
 
 
+def _recipe_table(mesh: Mesh, path: str) -> dict[str, Any] | None:
+    """Return a mesh by its builder and what was done to it; None where that is not known, or would make another mesh."""
+    if not (steps := recipe(mesh)):
+        return None
+    this = kind(Mesh)
+    known = {maker.__name__: maker for maker in (*TABLED[Mesh], *(this.then.listed if this.then else ()))}
+    try:
+        rows = [_arguments(known[name], arguments, path) for name, arguments in steps]
+        row = rows[0] | ({"then": rows[1:]} if rows[1:] else {})
+        return row if read_table(TABLED[Mesh], row, path) == mesh else None
+    except (InputError, LookupError):
+        return None
+
+
+def _arguments(maker: Maker, arguments: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Return the table of a call of `maker`."""
+    this = kind(maker)
+    row: dict[str, Any] = {"kind": this.name}
+    for name, value in arguments.items():
+        if isinstance(value, np.ndarray):
+            row[name] = _listed(value)
+        elif value is not None:
+            row[name] = _value(this.slots[name], value, below(path, name))
+    return row
+
+
 def _same(left: Any, right: Any) -> bool:
     # repr, too: -0.0 == 0.0
+    if isinstance(left, np.ndarray) and isinstance(right, tuple):
+        return left.size == len(right) == 0
     if isinstance(left, np.ndarray):  # one number stands for an array of it
         return isinstance(right, int | float | np.ndarray) and bool(np.all(left == right))
     return type(left) is type(right) and left == right and repr(left) == repr(right)
@@ -86,6 +120,10 @@ def _array(value: np.ndarray) -> Any:
     """Return an array as lists, or as one number where that stands for many of it; infinity is a text."""
     if value.ndim == 1 and len(value) and len({item.tobytes() for item in value}) == 1:
         value = value[0]
+    return _listed(value)
+
+
+def _listed(value: np.ndarray) -> Any:
     items = value.tolist()
     if value.dtype.kind != "f" or np.isfinite(value).all():
         return items

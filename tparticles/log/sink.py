@@ -61,7 +61,7 @@ class LogWriter:
     """Writes a log through a process of its own. `close` it in the end.
 
     Arguments:
-        path: the file; one that is there is replaced.
+        path: the file; one that is there is replaced, or, up to the rows that `earlier` counts (see `mark`), continued.
         header: what the log says of its run.
         meshes, particles: what is logged; for meshes `name`, `attributes`, `arrays` that stay, `vertices` and `kind` of the rows;
             for groups of particles `name`, `attributes`, `columns` (components and type by name).
@@ -76,8 +76,10 @@ class LogWriter:
         header: Mapping[str, Any],
         meshes: Sequence[Mapping[str, Any]],
         particles: Sequence[Mapping[str, Any]],
+        earlier: Mapping[str, int] | None = None,
     ):
         self.path = path
+        self._marked: dict[str, int] | None = None
         places, size = _places(meshes)
         with tempfile.NamedTemporaryFile(dir=_roomy_folder(size)) as file:  # its name goes, the memory stays
             file.truncate(size)
@@ -90,7 +92,7 @@ class LogWriter:
                 start_new_session=True,  # Ctrl-C is the simulation's, which then ends the log
             )
             shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]
-            self._tell((path, dict(header), shared, list(particles), file.name, size))
+            self._tell((path, dict(header), shared, list(particles), file.name, size, earlier))
             self.sinks = [
                 MeshSink(self, n, [layout.block(self._memory, place, m["vertices"], m["kind"]) for place in blocks])
                 for n, (m, blocks) in enumerate(zip(meshes, places, strict=True))
@@ -133,6 +135,8 @@ class LogWriter:
             return False
         if kind == "failed":
             raise self._broken(content[0])
+        if kind == "marked":
+            self._marked = content[0]
         if kind == "free":
             self.sinks[content[0]].freed(content[1])
         return True
@@ -147,6 +151,14 @@ class LogWriter:
     def particles(self, group: int, frame: int, time: float, columns: Mapping[str, np.ndarray]) -> None:
         """Log a group at a frame."""
         self.send("particles", group, frame, time, dict(columns))
+
+    def mark(self) -> dict[str, int]:
+        """Wait until all that was given is written; return how many rows of everything that makes."""
+        self._marked = None
+        self.send("mark")
+        while self._marked is None:
+            self.hear()
+        return self._marked
 
     def close(self, *, complete: bool) -> None:
         """Have all written; `complete`: the run has come to its end. Raises RunError if it cannot be written."""

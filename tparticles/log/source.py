@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import json
 import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InputError, unknown
-from ..frame import Frame
+from ..frame import Frame, FrameReport
 from ..mesh_motion import MeshMotion
+from ..output.files import remove_leftovers
+from ..simulation import WHOLE, Share
 from ..stepping.rows import Request
 from . import layout
 from .sink import LogWriter
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
     from ..scene import Scene
 
 _STALE = 0.5  # [s] after which rows that do not fill their memory are written all the same
+_SECTION = "log"  # of a checkpoint
 _OPTIONS = ("fps", "size", "quality", "seed", "scheme", "precision")
 
 
@@ -54,6 +59,20 @@ class Logging:
         """Return the names of the groups of particles that are logged."""
         return [group.name for group in scene.particles if not self.groups or group.name in self.groups]
 
+    def check_share(self, scene: Scene, share: Share) -> None:
+        """Refuse a log in parts. Raises InputError."""
+        if share.count > 1 and (parts := self.particles(scene)):
+            meshes = " ".join(f"--log-group {group.name}" for group in scene.meshes)
+            advice = f"take {meshes}" if meshes else "leave out --shards"
+            raise InputError(
+                f"--log --shards: the particles of '{parts[0]}' are simulated in parts, meshes are not: {advice}"
+            )
+
+    def options(self) -> list[str]:
+        """Return the options of the command line that ask for the same."""
+        ids = [] if self.ids is None else ["--log-ids", self.ids]
+        return ["--log", "--log-every", str(self.every), *ids, *(f"--log-group={name}" for name in self.groups)]
+
     def _ids(self, name: str, count: int) -> np.ndarray | None:
         if self.ids is None:
             return None
@@ -77,20 +96,26 @@ def numbers(text: str) -> list[int]:
 class LoggedSimulation:
     """A simulation as `shoot` takes it, whose frames are logged in the folder of a job.
 
-    The log has the name of an unfinished one until the last frame.
+    The log has the name of an unfinished one until the last frame. Checkpoints know how far it was: a run that goes on from one
+    cuts off what came later.
+
     Arguments:
         job: what is rendered.
         logging: what is logged.
+        share: the part of the particles that is simulated; their log would be in parts, too, so that meshes alone can be logged.
+        folder: where the log goes, by default that of the job.
 
     Raises:
-        InputError: an unknown group or vertex, a missing library.
+        InputError: an unknown group or vertex, a missing library, a group of particles that is simulated in parts.
     """
 
-    def __init__(self, job: Job, logging: Logging):
+    def __init__(self, job: Job, logging: Logging, *, share: Share = WHOLE, folder: Path | None = None):
         layout.check_libraries("log", "h5py", "hdf5plugin")
         self._job, self._logging = job, logging
+        self._folder = job.out if folder is None else folder
         requests = logging.requests(job.scene)
-        self.simulation = job.simulation(records=requests)
+        logging.check_share(job.scene, share)
+        self.simulation = job.simulation(share, records=requests)
         self.backend = self.simulation.backend
         motions = [group for group in self.simulation.groups if isinstance(group, MeshMotion)]
         self._meshes = [motion for motion in motions if motion.recorder]
@@ -98,16 +123,27 @@ class LoggedSimulation:
         self._particles = [g for g in self.simulation.groups if not isinstance(g, MeshMotion) and g.spec.name in names]
         self._whole = [motion.system.whole() for motion in self._meshes]
         self._ended = 0.0  # time of the last frame
+        self._log: LogWriter | None = None
+        self._earlier: dict[str, int] | None = None  # how much of an earlier log this one begins with
 
     def frames(self, numbers: Sequence[int], *, after: Callable[[int], None]) -> Iterator[Frame]:
         """Do as `Simulation.frames`, and log each frame that is simulated."""
+        return self._logged(self.simulation.frames, numbers, after)
+
+    def exposures(self, numbers: Sequence[int], *, after: Callable[[int], None]) -> Iterator[FrameReport]:
+        """Do as `Simulation.exposures`, and log each frame that is simulated."""
+        return self._logged(self.simulation.exposures, numbers, after)
+
+    def _logged(self, take: Callable[..., Iterator[Any]], numbers: Sequence[int], after: Callable[[int], None]) -> Any:
+        if not numbers:
+            return  # there is a log already
         with self.opened() as log:
 
             def both(number: int) -> None:
                 log(number)
                 after(number)
 
-            yield from self.simulation.frames(numbers, after=both)
+            yield from take(numbers, after=both)
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[Callable[[int], None]]:
@@ -116,8 +152,9 @@ class LoggedSimulation:
         Raises:
             RunError: it cannot be written.
         """
-        path = self._job.out / layout.UNFINISHED
-        log = LogWriter(path, header(self._job), *self._contents())
+        path = self._folder / layout.UNFINISHED
+        remove_leftovers(self._folder, re.escape(layout.UNFINISHED))
+        log = self._log = LogWriter(path, header(self._job), *self._contents(), earlier=self._earlier)
         for motion, sink in zip(self._meshes, log.sinks, strict=True):
             assert motion.recorder
             motion.recorder.sink = sink
@@ -199,12 +236,31 @@ class LoggedSimulation:
         return columns
 
     def snapshot(self) -> Any:
-        """Return the state after the latest frame."""
-        return self.simulation.snapshot()
+        """Return the state after the latest frame, and how far the log is. Raises RunError if it cannot be written."""
+        assert self._log
+        recorders = [motion.recorder for motion in self._meshes if motion.recorder]
+        for recorder in recorders:
+            recorder.hand_over()
+        marks = [list(recorder.mark()) for recorder in recorders]
+        log = {"of": repr(self._logging), "marks": marks, "rows": json.dumps(self._log.mark())}
+        return self.simulation.snapshot() | {_SECTION: log}
 
     def restore(self, state: Any) -> None:
-        """Go on from a state: a log begins at the beginning. Raises InputError."""
-        raise InputError("a log begins at the beginning: leave out --resume or --log")
+        """Go on from a state. Raises InputError if no log, or one of other things, goes with it."""
+        mark, path = state.get(_SECTION), self._folder / layout.UNFINISHED
+        reason = "the checkpoint was made without a log" if mark is None else ""
+        if mark and mark["of"] != repr(self._logging):
+            reason = "the log of the checkpoint is of other steps, vertices or groups"
+        elif mark and not path.is_file():
+            reason = f"{path} is missing"
+        if mark is None or reason:
+            raise InputError(f"--log --resume: {reason}; begin anew without --resume")
+        self.simulation.restore({name: values for name, values in state.items() if name != _SECTION})
+        self._earlier = json.loads(mark["rows"])
+        for motion, place in zip(self._meshes, mark["marks"], strict=True):
+            assert motion.recorder
+            motion.recorder.given, motion.recorder.step, motion.recorder.due = place
+        self._whole = [motion.system.whole() for motion in self._meshes]
 
     def finished(self, number: int) -> None:
         """A frame is on the disk."""

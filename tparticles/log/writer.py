@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import mmap
+import os
 import pickle
 import signal
 import sys
@@ -17,6 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..output.files import temporary_path
 from . import layout
 
 _CACHE = 64 << 20  # bytes of chunks that are not full yet
@@ -26,7 +29,8 @@ def main() -> None:
     """Write what comes on stdin, pickled, until it says "end" or is closed; tell on stdout what is free again, or what failed.
 
     The first message: the path, the header, the meshes (a dict of attributes, of arrays that stay, and where the memory of its
-    blocks begins), the groups of particles (a dict of attributes, and of columns), the name and the size of the file of the memory.
+    blocks begins), the groups of particles (a dict of attributes, and of columns), the name and the size of the file of the memory,
+    and how much of the file at that path the log begins with (see `marked`), None to begin anew.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         with contextlib.suppress(AttributeError):
@@ -39,10 +43,10 @@ def main() -> None:
             replies.flush()
 
     try:
-        path, header, meshes, particles, name, size = pickle.load(source)
+        path, header, meshes, particles, name, size, earlier = pickle.load(source)
         with open(name, "r+b") as file:
             memory = mmap.mmap(file.fileno(), size)
-        writer = _Writer(path, header, meshes, particles, memory)
+        writer = _Writer(path, header, meshes, particles, memory, earlier)
         reply("ready")
         writer.serve(source, reply)
     except OSError as error:
@@ -52,10 +56,18 @@ def main() -> None:
 
 class _Writer:
     def __init__(
-        self, path: Path, header: Mapping[str, Any], meshes: Sequence[Any], particles: Sequence[Any], memory: mmap.mmap
+        self,
+        path: Path,
+        header: Mapping[str, Any],
+        meshes: Sequence[Any],
+        particles: Sequence[Any],
+        memory: mmap.mmap,
+        earlier: Mapping[str, int] | None,
     ):
         h5py, self._plugin = layout.hdf5()
-        self._file = h5py.File(path, "w", libver="latest", rdcc_nbytes=_CACHE)
+        new = path if earlier is None else temporary_path(path)
+        self._file = h5py.File(new, "w", libver="latest", rdcc_nbytes=_CACHE)
+        self._rows: dict[str, Any] = {}  # the arrays that grow, by their place in the file
         self._file.attrs.update(format=layout.FORMAT, version=layout.VERSION, header=json.dumps(header))
         self._complete = self._file.create_dataset("complete", data=0)
         self._meshes = [self._mesh(mesh) for mesh in meshes]
@@ -63,7 +75,35 @@ class _Writer:
             [layout.block(memory, place, mesh["vertices"], mesh["kind"]) for place in mesh["places"]] for mesh in meshes
         ]
         self._particles = [self._group(group) for group in particles]
+        if earlier is not None:
+            try:
+                # as a reader: its writer may be at its last rows, or have been killed, and then nobody could write into it
+                with h5py.File(path, "r", libver="latest", swmr=True) as old:
+                    self._begin_with(old, earlier)
+                self._file.flush()
+                os.replace(new, path)
+            except BaseException:
+                new.unlink(missing_ok=True)
+                raise
         self._file.swmr_mode = True
+
+    def _begin_with(self, old: Any, counts: Mapping[str, int]) -> None:
+        """Copy the first rows of an earlier log."""
+        for name, array in self._rows.items():
+            count, many = counts[name], max(1, _CACHE // max(1, array.dtype.itemsize * math.prod(array.shape[1:])))
+            if len(old[name]) < count:
+                raise OSError(f"it ends before the checkpoint, after {len(old[name])} of {count} rows of {name}")
+            array.resize(count, axis=0)
+            for first in range(0, count, many):
+                array[first : min(first + many, count)] = old[name][first : min(first + many, count)]
+        for group in self._meshes:
+            group["contacts_lost"][()] = counts[group["contacts_lost"].name]
+
+    def marked(self) -> dict[str, int]:
+        """Return how many rows there are in each array, all with the system now, and how many contacts each mesh has lost."""
+        self._file.flush()
+        lost = (group["contacts_lost"] for group in self._meshes)
+        return {name: len(array) for name, array in self._rows.items()} | {one.name: int(one[()]) for one in lost}
 
     def serve(self, source: BinaryIO, reply: Callable[..., None]) -> None:
         """Write until there is no more."""
@@ -73,6 +113,9 @@ class _Writer:
                 if kind == "end":
                     self._complete[()] = content[0]
                     break
+                if kind == "mark":
+                    reply("marked", self.marked())
+                    continue
                 getattr(self, f"_write_{kind}")(*content)
                 if kind == "rows":
                     reply("free", *content[:2])
@@ -85,7 +128,11 @@ class _Writer:
         width = int(np.prod(shape, dtype=np.int64))
         blosc = self._plugin.Blosc(cname="lz4", clevel=1, shuffle=self._plugin.Blosc.BITSHUFFLE)
         chunk = (layout.rows_per_chunk(width, kind), *shape)
-        return group.create_dataset(name, shape=(0, *shape), maxshape=(None, *shape), chunks=chunk, dtype=kind, **blosc)
+        array = group.create_dataset(
+            name, shape=(0, *shape), maxshape=(None, *shape), chunks=chunk, dtype=kind, **blosc
+        )
+        self._rows[array.name] = array
+        return array
 
     def _mesh(self, mesh: Mapping[str, Any]) -> Any:
         group = self._file.create_group(f"meshes/{mesh['name']}")

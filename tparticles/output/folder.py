@@ -30,6 +30,8 @@ def held_folder(path: str | Path, *, patience: float = 0.3) -> Iterator[None]:
         try:
             if path.exists() and not path.is_dir():
                 raise InputError(f"output folder {path} is a file: choose a folder with --out")
+            if path.is_symlink() and not path.exists():
+                raise InputError(f"output folder {path} is a link that leads nowhere: choose another with --out")
             path.mkdir(parents=True, exist_ok=True)
             stack.enter_context(locked(path, patience=patience))
         except (OSError, ValueError) as error:
@@ -91,7 +93,7 @@ def _check_owner(path: Path, scene: str, identity: str, existing: str) -> None:
         return
     if existing != "overwrite":
         raise InputError(
-            f"output folder {path} holds '{scene}' rendered with other parameters or settings: "
+            f"output folder {path} holds '{scene}' rendered with other parameters or settings, or by another version: "
             "replace it with --existing overwrite, or choose another with --out"
         )
     _remove_run(path, scene)

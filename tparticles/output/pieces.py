@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from .files import frame_path
-from .sealed import read_sealed, write_sealed
+from .sealed import Sections, read_sealed, write_sealed
 
 _KIND = "film"
 _BLOCK = 192  # numbers, 64 pixels
@@ -26,16 +26,22 @@ def piece_path(folder: Path, number: int) -> Path:
     return frame_path(folder, number, ".film")
 
 
-def write_piece(folder: Path, sums: np.ndarray, row: dict[str, Any], *, version: str, identity: str) -> None:
-    """Write the film `sums` (i64, shape (h, w, 3)) of the frame that `row` reports on. Raises OSError."""
-    sections = {"row": row, "size": {"height": sums.shape[0], "width": sums.shape[1]}, "film": _packed(sums)}
+def write_piece(
+    folder: Path, sums: np.ndarray, row: dict[str, Any], *, version: str, identity: str, more: Sections | None = None
+) -> None:
+    """Write the film `sums` (i64, shape (h, w, 3)) of the frame that `row` reports on, and what else the shard has of it.
+
+    Raises OSError.
+    """
+    size = {"height": sums.shape[0], "width": sums.shape[1]}
+    sections: Sections = {"row": row, "size": size, "film": _packed(sums), **(more or {})}
     write_sealed(
         piece_path(folder, row["frame"]), sections, kind=_KIND, version=version, identity=identity, frame=row["frame"]
     )
 
 
 def add_piece(folder: Path, number: int, total: np.ndarray, *, version: str, identity: str) -> dict[str, Any]:
-    """Add the film of frame `number` to `total` (i64, shape (h, w, 3)) and return its row.
+    """Add the film of frame `number` to `total` (i64, shape (h, w, 3)); return all that the piece holds, its `row` above all.
 
     Raises:
         InputError: it is missing, damaged, or of another scene, version or size; names the file.
@@ -45,7 +51,7 @@ def add_piece(folder: Path, number: int, total: np.ndarray, *, version: str, ide
     if (size["height"], size["width"], 3) != total.shape or found.frame != number:
         raise InputError(f"film {found.path} is refused: it is of another size or frame")
     _add(found.sections["film"], total)
-    return dict(found.sections["row"])
+    return dict(found.sections)
 
 
 def _packed(sums: np.ndarray) -> dict[str, np.ndarray]:

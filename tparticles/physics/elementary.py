@@ -8,8 +8,6 @@ exponential and the cube root are Taichi's own: there the digits matter more tha
 # Pyright cannot follow the code of kernels: attributes from derived(), vectors made of tuples.
 # pyright: reportInvalidTypeForm=false
 
-import math
-
 import taichi as ti
 
 from .. import backend
@@ -18,9 +16,26 @@ from .. import backend
 # iteratively reweighted least squares, errors 2.1e-11 and 1.9e-9.
 _SINE = (6.28318531, -41.3417021, 81.6052237, -76.7041703, 42.0077971, -14.3813906)
 _EXP2 = (1.0, 0.693147206, 0.240226469, 0.0555032878, 0.00961848897, 0.00133999312, 0.000153458075)
-_TWO_PI = 6.283185307179586
-# Taylor's terms in f64: the first one left out is 3e-20 of the sine of a quarter turn.
-_SINE_64 = tuple((-1) ** k * _TWO_PI ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(12))
+# sin(2 pi t) / t and cos(2 pi t) in t^2 for |t| <= 1/8: Taylor's series, economised; errors 3.5e-18 and 4.3e-20.
+_SINE_64 = (
+    6.283185307179586,
+    -41.341702240399634,
+    81.60524927594807,
+    -76.70585970428509,
+    42.05868502146087,
+    -15.093804283937654,
+    3.780870536854511,
+)
+_COSINE_64 = (
+    1.0,
+    -19.739208802178716,
+    64.93939402266795,
+    -85.45681720652276,
+    60.24464132887419,
+    -26.42625090926917,
+    7.90309171786731,
+    -1.696850020961397,
+)
 _LOG2_E = 1.4426950408889634
 
 
@@ -38,7 +53,7 @@ def _polynomial(coefficients: ti.template(), x):
 
 @ti.func
 def _sine_of_quarter(t):
-    return t * _polynomial(ti.static(_SINE_64 if _is_f64() else _SINE), t * t)
+    return t * _polynomial(ti.static(_SINE), t * t)
 
 
 @ti.func
@@ -51,7 +66,16 @@ def sin_cos(q):
     far = ti.abs(r)
     # sin(pi - a) = sin(a) folds the half turn to a quarter, cos(a) = sin(pi/2 - a); both differences are exact
     near = ti.min(far, 0.5 - far)
-    return ti.select(r < 0.0, -1.0, 1.0) * _sine_of_quarter(near), _sine_of_quarter(0.25 - far)
+    sign = ti.select(r < 0.0, -1.0, 1.0)
+    if ti.static(_is_f64()):
+        # an eighth, where half as many terms do: the sine of the rest of the quarter is the cosine, and the other way round
+        rest = 0.25 - near
+        t = ti.min(near, rest)
+        s, c = t * _polynomial(ti.static(_SINE_64), t * t), _polynomial(ti.static(_COSINE_64), t * t)
+        small = near < rest
+        return sign * ti.select(small, s, c), ti.select(far > 0.25, -1.0, 1.0) * ti.select(small, c, s)
+    else:
+        return sign * _sine_of_quarter(near), _sine_of_quarter(0.25 - far)
 
 
 @ti.func

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..spec import Vec3, unit
 from ..track import Track
 from .mesh_checks import check, check_indices, number, numbers, positive, vector
+from .mesh_recipe import change
 from .shapes import Box, Sphere
 
 Reals = NDArray[np.float64]
@@ -126,10 +127,12 @@ class Mesh:
         for name in _ARRAYS:
             getattr(self, name).flags.writeable = False
 
+    @change
     def moved(self, offset: Vec3) -> Self:
         """Return the mesh moved by `offset` [m]."""
         return self._with(x=self.x + vector("moved.offset", offset))
 
+    @change
     def turned(self, axis: Vec3, degrees: float, *, about: Vec3 | None = None) -> Self:
         """Return the mesh turned about an axis through a point [m], its centre of mass by default.
 
@@ -143,6 +146,7 @@ class Mesh:
         )
         return self._mapped(turn, about)
 
+    @change
     def scaled(self, factor: float, *, about: Vec3 | None = None) -> Self:
         """Return the mesh grown `factor` times about a point [m], its centre of mass by default.
 
@@ -151,12 +155,14 @@ class Mesh:
         grown = self._mapped(positive("scaled.factor", factor) * np.eye(3), about)
         return grown._with(rest=factor * self.rest)
 
+    @change
     def launched(self, velocity: Vec3 = (0.0, 0.0, 0.0), *, spin: Vec3 = (0.0, 0.0, 0.0)) -> Self:
         """Return the mesh with a velocity [m/s] and a spin about its centre of mass [rad/s] added; pinned vertices stay at rest."""
         turning = np.cross(vector("launched.spin", spin), self.x - self.center)
         gain = vector("launched.velocity", velocity) + turning
         return self._with(v=np.where(self.pinned[:, None], self.v, self.v + gain))
 
+    @change
     def pin(self, vertices: ArrayLike | None = None, *, where: Where | None = None) -> Self:
         """Return the mesh with some vertices held where they are.
 
@@ -168,6 +174,7 @@ class Mesh:
         """
         return self._held(self._chosen("pin", vertices, where), -1)
 
+    @change
     def driven(self, path: Track, vertices: ArrayLike | None = None, *, where: Where | None = None) -> Self:
         """Return the mesh with some vertices carried along `path`, offsets [m] from where they start; chosen as in `pin`.
 
@@ -177,6 +184,7 @@ class Mesh:
         chosen = self._chosen("driven", vertices, where)
         return self._with(paths=(*self.paths, path))._held(chosen, len(self.paths))
 
+    @change
     def with_springs(
         self,
         pairs: ArrayLike,
@@ -193,6 +201,7 @@ class Mesh:
         }
         return self._with(**changes)
 
+    @change
     def joined(self, other: Mesh) -> Self:
         """Return one mesh of both; the other's vertices come after this one's. Springs between them: `with_springs`."""
         parts = {

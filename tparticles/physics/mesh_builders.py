@@ -15,10 +15,12 @@ from ..errors import InputError
 from ..spec import Vec3
 from .mesh import Mesh, Reals, distances
 from .mesh_checks import number, numbers, positive, vector
+from .mesh_recipe import builder
 
 Family = tuple[np.ndarray, float]  # pairs of vertices, stiffness [N/m]
 
 
+@builder
 def spring_box(
     *,
     size: float | Vec3 = 1.0,
@@ -45,6 +47,7 @@ def spring_box(
     )
 
 
+@builder
 def rope(
     *,
     start: Vec3 = (0.0, 0.0, 0.0),
@@ -73,6 +76,7 @@ def rope(
     return assembled("rope", (1.0 - s) * a + s * b, families, mass=mass, damping=damping, tear=tear, stretch=slack)
 
 
+@builder
 def cloth(
     *,
     counts: int | tuple[int, int] = (32, 32),
@@ -100,6 +104,7 @@ def cloth(
     return assembled("cloth", x, families, mass=mass, damping=damping, tear=tear, faces=_triangles(i))
 
 
+@builder
 def lattice(
     *,
     counts: int | tuple[int, int, int] = (8, 8, 8),
@@ -127,6 +132,7 @@ def lattice(
     return assembled("lattice", x, families, mass=mass, damping=damping, tear=tear, faces=_surface(grid))
 
 
+@builder
 def sphere_shell(
     *,
     radius: float = 0.5,

@@ -84,13 +84,15 @@ class Report:
         if outcome.error is not None:
             text = str(outcome.error)
             empty = {"pictures": [], "metrics": [], "both": False, "frame": None}
-            yield common | empty | {"word": str(Word.FAILED), "passes": False, "text": text}
+            yield common | empty | {"word": str(Word.FAILED), "passes": False, "text": text, "reasons": []}
         for cut in outcome.cuts:
+            text, reasons = _reasons(cut.verdict.text)
             yield common | {
                 "frame": cut.frame,
                 "word": str(cut.verdict.word),
                 "passes": cut.verdict.word.passes,
-                "text": cut.verdict.text,
+                "text": text,
+                "reasons": reasons,
                 "both": cut.reference is not None and cut.new is not None,
                 "pictures": list(self._pictures(cut)),
                 "metrics": _metrics(cut, outcome.plan),
@@ -143,6 +145,13 @@ def _metrics(cut: Cut, plan: Plan) -> list[tuple[str, str, str]]:
         ("signed mean", f"{found.mean:+.5f}", f"{limits.mean:g}"),
         ("signed mean of the worst tile", f"{found.tile:.4f}", f"{limits.tile:g}"),
     ]
+
+
+def _reasons(text: str) -> tuple[str, list[str]]:
+    """Return what is said of a frame, and apart the reasons where there are several."""
+    said, _, rest = text.partition(": ")
+    reasons = rest.split("; ")
+    return (said, reasons) if len(reasons) > 1 else (text, [])
 
 
 def _facts(outcome: Outcome) -> list[tuple[str, Any]]:

@@ -19,7 +19,7 @@ from ..spec import Positive, spec
 
 Clamp = Literal["equal", "slide32", "dyadic", "slide32-anyway"]
 _MOST_STEPS = 1_000_000  # per frame
-LARGEST_FACTOR = 5.0  # by which a step may grow over the one before
+CALM = 1e-3  # of what is allowed: an error that is no luck
 
 
 @ti.pyfunc
@@ -119,16 +119,16 @@ def _power(x, p):
 
 
 @ti.func
-def step_factor(error, before, exponent: ti.template()):
+def step_factor(error, before, exponent: ti.template(), most: ti.template()):
     """Return by what to multiply a step whose `error` is known in units of what is allowed; `before` is the last accepted one's.
 
-    Accepted (error <= 1): 0.9 error^(-0.7/k) before^(0.4/k), PI control, k = 1 / `exponent`; rejected: 0.9 error^(-1/k), at
-    least 0.2.
+    Accepted (error <= 1): 0.9 error^(-0.7/k) before^(0.4/k), PI control, k = 1 / `exponent`, up to `most`; rejected:
+    0.9 error^(-1/k), at least 0.2.
     Source: Hairer and Wanner, Solving ODEs II, section IV.2, eq. (2.43).
     """
     grown = 0.9 * _power(error, -0.7 * exponent) * _power(before, 0.4 * exponent)
     shrunk = 0.9 * _power(error, -exponent)
-    return ti.select(error <= 1.0, ti.math.clamp(grown, 0.2, LARGEST_FACTOR), ti.math.clamp(shrunk, 0.2, 0.9))
+    return ti.select(error <= 1.0, ti.math.clamp(grown, 0.2, most), ti.math.clamp(shrunk, 0.2, 0.9))
 
 
 class Tolerance(Protocol):
@@ -136,10 +136,13 @@ class Tolerance(Protocol):
 
     `error(target, e, z0, z, h, frame)`, a `@ti.func`: the estimate `e` of a step `h` [s] from `z0` to `z` (x, v, T, as far as
     they are part of the state) in units of what is allowed, `target` being `numbers(frame, camera)`, float32.
-    `per_unit_step`: whether what is allowed is in proportion to the step.
+    `first`: the first step of a particle, in the longest one allowed; `most`: by what a step may grow over the one before;
+    `trusted`: the longest step that need not be preceded by an error below `CALM`, in the longest one allowed.
     """
 
-    per_unit_step: bool
+    first: float
+    most: float
+    trusted: float
 
     def numbers(self, frame: float, camera: np.ndarray | None) -> np.ndarray: ...  # noqa: D102
     def error(self, target, e, z0, z, h, frame): ...  # noqa: D102
@@ -155,7 +158,9 @@ class ErrorControl:
     rtol: Annotated[Positive, Field(lt=1)] = 1e-4
     atol: Positive = 1e-6
 
-    per_unit_step = False
+    first = 1.0
+    most = 5.0
+    trusted = 1.0
 
     def step(self, scheme: Scheme, bound: Bound | None) -> float:
         """Return the largest step [s]: no limit but the frame."""
@@ -181,32 +186,35 @@ class ErrorControl:
 
 @spec
 class PixelTolerance:
-    """Every particle takes the largest steps that keep its dot within `px` pixels of where it should be at the end of a frame.
+    """Every particle takes the largest steps that keep its dot within `px` pixels of where it should be.
 
-    The local error is projected by the scene's camera; what is allowed is shared out over the frame in proportion to the steps, and
-    over `frames` frames. An error in v counts as the way it leads astray within a frame.
-    `frames` stands for how much early errors grow as well as for how many add up: turbulence pulls neighbours apart by e in a
-    quarter of a second, so that errors grow a thousandfold in two: the default. It is no bound, since single particles that pass
-    a stagnation point part faster (measured: `python -m tests.bench pixels`); 1 bounds what each frame adds.
+    The local error is projected by the scene's camera; a step may err by `px` / `growth`. An error in v counts as the way it
+    leads astray within a frame. `growth` stands for how much the errors of a life add up, and grow: turbulence pulls
+    neighbours apart. It is no bound, since single particles that pass a stagnation point part faster (measured:
+    `python -m tests.bench pixels`).
+    Estimates of steps across several eddies are a matter of luck: the first step is a quarter of a frame, none is more than
+    twice the one before, and one above half a frame follows an error of next to nothing.
     """
 
     px: Positive = 0.5
-    frames: Positive = 1000.0
+    growth: Positive = 8.0
 
-    per_unit_step = True
+    first = 0.25
+    most = 2.0
+    trusted = 0.5
 
     def step(self, scheme: Scheme, bound: Bound | None) -> float:
         """Return the largest step [s]: no limit but the frame."""
         return math.inf
 
     def numbers(self, frame: float, camera: np.ndarray | None) -> np.ndarray:
-        """Return what kernels need, float32 (16,): pixels allowed in a frame, and the camera row (see `render.project`)."""
+        """Return what kernels need, float32 (16,): pixels allowed in a step, and the camera row (see `render.project`)."""
         assert camera is not None
-        return np.concatenate([[self.px / self.frames], camera]).astype(np.float32)
+        return np.concatenate([[self.px / self.growth], camera]).astype(np.float32)
 
     @ti.func
     def error(self, target: ti.template(), e, z0, z, h, frame):
-        """Return the error on the film in units of the part of `px` that falls to this step."""
+        """Return the error on the film in units of what a step may err by."""
         off = ti.Vector([e[0], e[1], e[2]])
         if ti.static(e.n >= 6):
             off += frame * ti.Vector([e[3], e[4], e[5]])
@@ -221,7 +229,7 @@ class PixelTolerance:
         along = off.dot(forward) / depth
         du = scale * (off.dot(right) - along * x.dot(right))
         dv = scale * (off.dot(up) - along * x.dot(up))
-        return ti.sqrt(du * du + dv * dv) * frame / (target[0] * h)
+        return ti.sqrt(du * du + dv * dv) / target[0]
 
 
 def _parts(components: int) -> list[tuple[int, int]]:

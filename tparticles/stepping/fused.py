@@ -29,7 +29,8 @@ from .pace import LONGEST, NOBODY, Pace
 from .table import Table
 
 _COMBINE, _EVALUATE, _KICK, _DRIFT, _SOLVE, _ROTATE, _DIFFERENCE = range(7)
-_RUNS = 4096  # in which a large group's blocks are counted
+_PARTS = 4096  # of a group on a GPU
+_RUN = 16  # blocks that a CPU thread takes in a row
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,13 @@ class FusedStepper:
         if self.table.implicit:
             self.layout |= self.newton.vectors()
         self.width = sum(self.layout.values())
-        self.serial = backend.current().in_one_thread(columns.padded)
+        on = backend.current()
+        self.serial = on.in_one_thread(columns.padded)
+        # The blocks are dealt out in runs, so that the parts of a group have much the same to do.
+        self.parts = (1 if self.serial else on.threads) if on.is_cpu else _PARTS
+        self.run = _RUN if on.is_cpu else 1
+        # A CPU thread gets no less than so many iterations of a loop: all but the first of them are idle.
+        self.grain = backend.GRAIN if on.is_cpu and not self.serial else 1
 
     def advance(self, count: int, t0: float, t1: float, dt: float, *, camera: np.ndarray | None = None) -> StepReport:
         """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`.
@@ -154,29 +161,32 @@ class FusedStepper:
         ti.static(self.parameters.read_from(values))
         steps, rejected, low, high, stuck = ti.cast(0, ti.i64), ti.cast(0, ti.i64), LONGEST, 0, NOBODY
         blocks = (count + self.lanes - 1) // self.lanes
-        # The counts are shared: blocks go in runs, so that threads rarely meet there, but in enough runs for many threads.
-        run = ti.max(blocks // _RUNS, 1)
+        runs = (blocks + self.run - 1) // self.run
         ti.loop_config(serialize=ti.static(self.serial))
-        for r in range((blocks + run - 1) // run):
-            scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
-            ti.static(self.parameters.hoist(scalars))
-            taken, missed, shortest, longest = 0, 0, LONGEST, 0
-            for block in range(r * run, ti.min(blocks, (r + 1) * run)):
-                n, no, low_, high_, slot = self._advance_block(
-                    block, count, t0, t1, dt, size, ops, edges, coefficients, target
-                )
-                taken += n
-                missed += no
-                shortest, longest = ti.min(shortest, low_), ti.max(longest, high_)
+        for task in range(ti.min(runs, self.parts) * self.grain):
+            if task % self.grain == 0:
+                scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
+                ti.static(self.parameters.hoist(scalars))
+                taken, missed, shortest, longest = ti.cast(0, ti.i64), ti.cast(0, ti.i64), LONGEST, 0
+                r = task // self.grain
+                while r < runs:
+                    for block in range(r * self.run, ti.min(blocks, (r + 1) * self.run)):
+                        n, no, low_, high_, slot = self._advance_block(
+                            block, count, t0, t1, dt, size, ops, edges, coefficients, target
+                        )
+                        taken += n
+                        missed += no
+                        shortest, longest = ti.min(shortest, low_), ti.max(longest, high_)
+                        if ti.static(self.pace.chooses):
+                            if slot < NOBODY:
+                                ti.atomic_min(stuck, slot)
+                    r += self.parts
+                ti.atomic_add(steps, taken)
                 if ti.static(self.pace.chooses):
-                    if slot < NOBODY:
-                        ti.atomic_min(stuck, slot)
-            ti.atomic_add(steps, ti.cast(taken, ti.i64))
-            if ti.static(self.pace.chooses):
-                ti.atomic_add(rejected, ti.cast(missed, ti.i64))
-            if taken > 0:
-                ti.atomic_min(low, shortest)
-                ti.atomic_max(high, longest)
+                    ti.atomic_add(rejected, missed)
+                if taken > 0:
+                    ti.atomic_min(low, shortest)
+                    ti.atomic_max(high, longest)
         return ti.Vector([steps, rejected, ti.cast(low, ti.i64), ti.cast(high, ti.i64), ti.cast(stuck, ti.i64)])
 
     @ti.func
@@ -287,7 +297,7 @@ class FusedStepper:
             rounds = ti.select(linear > 0, self.newton.rounds_linear, self.newton.rounds)
             for lane in range(b.lanes):
                 b.w[lane] = self._weight(b, op, 0, lane, coefficients)
-            self.newton.begin(b, linear)
+            r = self.newton.begin(b, linear)
         while r < rounds:
             self._evaluate(b, slot, coefficients[op, 0], span, start)
             if solving:

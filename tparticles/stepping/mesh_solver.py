@@ -23,7 +23,7 @@ import numpy as np
 
 from ..errors import InputError, unknown
 from . import mesh_solver_direct as direct
-from .mesh_solver_matrix import Springs, StepMatrix, UpperPattern, acceleration_blocks, conjugate_gradients
+from .mesh_solver_matrix import Springs, StepMatrix, UpperPattern, acceleration_blocks, conjugate_gradients, steadied
 
 Array = np.ndarray
 Acceleration = Callable[[Array, Array], Array]
@@ -186,7 +186,8 @@ class MeshSolver:
         count, iteration = 0, 0
         remainder = 0.3 * tolerance / _BALANCE_WEIGHT * stage.size / stage.h * self.springs.mass
         while np.isfinite(now.misfit) and iteration < _NEWTON_LIMIT:
-            matrix = StepMatrix.assemble(self.springs, stage.h, now.turning, now.length, now.u, blocks)
+            steady = steadied(self.springs, now.turning, now.length, now.u)
+            matrix = StepMatrix.assemble(self.springs, stage.h, steady, now.length, now.u, blocks)
             dv, inner, good = self._linear_solve(matrix, -now.imbalance, method, _CG_NEWTON, remainder)
             iteration, count = iteration + 1, count + inner
             if not good:

@@ -9,7 +9,10 @@ d = x_i - x_j, e the acceleration that springs do not give. With g the tension t
     A = m (I - h de) + sum_s [(h^2 k + h c - h^2 g / |d|) u u^T + (h^2 g / |d|) I],    g = max(g, 0).
 
 The last term is what a stretched spring does across its own direction. A compressed one would push outwards there, which makes A
-indefinite, and is left out: A only steers Newton's method, the solution is where R = 0.
+indefinite; A only steers Newton's method, the solution is where R = 0. Leaving compressed springs out one by one holds a stiff
+mesh far too fast: in a bent sheet they cancel nearly all that its stretched ones do, and what is then left over is as stiff as
+they are. `steadied` cancels first: it leaves out what is compressed of the stress around a vertex (Teran, Sifakis, Irving,
+Fedkiw, Robust Quasistatic Finite Elements, 2005, do it element by element).
 
 Arrays here are component by component, (3, n), and sums over the springs of a vertex run in the order of the springs, so that
 they do not depend on the number of threads.
@@ -118,6 +121,39 @@ class StepMatrix:
         """Return the inverse of the blocks on the diagonal (6, n): the block-Jacobi preconditioner."""
         inverse = np.linalg.inv(np.moveaxis(self.diagonal[_BLOCK], -1, 0))
         return np.stack([inverse[:, a, b] for a, b in _PAIRS])
+
+
+def steadied(springs: Springs, tension: Array, length: Array, u: Array) -> Array:
+    """Return tensions >= 0 [N] (m) that hold the mesh across its springs about as `tension` does.
+
+    The stress around a vertex is S = sum_s g_s |d_s| u_s u_s^T. A spring gets u^T S+ u of its two ends, S+ being what is stretched
+    of S, scaled so that the springs of a vertex have the trace of S+ again. Where no spring of a vertex is compressed, they keep
+    theirs.
+    """
+    if (tension >= 0.0).all():
+        return tension
+    n, ends = springs.vertex_count, (springs.first, springs.second)
+
+    def summed(values: Array) -> Array:
+        return np.bincount(ends[0], values, n) + np.bincount(ends[1], values, n)
+
+    compressed = np.flatnonzero(summed(tension < 0.0))
+    stress = np.stack([summed(tension * length * u[a] * u[b])[compressed] for a, b in _PAIRS])
+    values, vectors = np.linalg.eigh(np.moveaxis(stress[_BLOCK], -1, 0))
+    values = np.maximum(values, 0.0)
+    stretched = np.zeros((6, n))
+    stretched[:, compressed] = np.stack(
+        [np.einsum("nk,nk,nk->n", vectors[:, a], values, vectors[:, b]) for a, b in _PAIRS]
+    )
+    trace = np.zeros(n)
+    trace[compressed] = values.sum(axis=1)
+    along = [np.einsum("cs,cs->s", u, _times(stretched[:, end], u)) for end in ends]
+    total = np.bincount(ends[0], along[0] * length, n) + np.bincount(ends[1], along[1] * length, n)
+    scale = trace / np.where(total > 0.0, total, 1.0)
+    keeps = np.ones(n, bool)
+    keeps[compressed] = False
+    parts = [np.where(keeps[end], tension, scale[end] * share) for end, share in zip(ends, along, strict=True)]
+    return 0.5 * np.maximum(parts[0] + parts[1], 0.0)
 
 
 def _times(blocks: Array, p: Array) -> Array:

@@ -7,7 +7,9 @@ so that a user's law needs no derivatives; they only have to be good enough to c
 itself alone and has a scalar equation of its own.
 
 A round is one evaluation of f for the whole block. Rounds go by a fixed timetable: a residual, three columns, residuals with those
-columns (chords), then new columns. A lane that is done keeps its q, so the result does not depend on the neighbours.
+columns (chords), then new columns. Before it come a few chords with the columns of the stage or step before, of the same g, for
+lanes that have them: while f changes little, two evaluations solve a stage. A lane that is done keeps its q and its columns, and
+one that has to wait keeps all, so the result does not depend on the neighbours.
 """
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
@@ -19,6 +21,8 @@ from .. import backend
 
 _CYCLE = 9  # rounds from one Jacobian to the next: a residual, three columns, five residuals
 _CYCLES = 8
+_CHORDS = 3  # rounds with the columns of an earlier stage
+_DROP = 0.1  # of the residual that makes those credible: of too stiff a matrix steps are small, whatever is left
 
 
 @ti.data_oriented
@@ -50,31 +54,42 @@ class Newton:
             "damping": 1,
             "change": 1,  # of the unknown, in a column
             "waiting": 1,  # 1 until the lane is done
+            "held": 1,  # the g that the matrix belongs to, 0 for none
+            "chord": 1,  # 1 where it belongs to this g
+            "began": 1,  # the square of the first residual
         }
 
     @ti.func
     def begin(self, b: ti.template(), linear):
-        """Set out from zbar = z with q = 0."""
+        """Set out from zbar = z with q = 0; return the number of the first round, below 0 where a lane has columns."""
+        first = 0
         for lane in range(b.lanes):
             for d in ti.static(range(self.components)):
                 b.zbar[d][lane] = b.z[d][lane]
             for d in ti.static(range(3)):
                 b.q[d][lane] = 0.0
                 b.best[d][lane] = 0.0
+            for d in ti.static(range(2)):
                 b.heat[d][lane] = 0.0
-            b.g[lane] = b.w[lane] * b.h[lane]
+            g = b.w[lane] * b.h[lane]
+            b.g[lane] = g
             b.norm[lane] = ti.math.inf
+            b.began[lane] = ti.math.inf
             b.damping[lane] = 1.0
             b.waiting[lane] = ti.select(b.h[lane] > 0.0, 1.0, 0.0)
+            fits = (b.h[lane] > 0.0) & (linear == 0) & (ti.abs(g - b.held[lane]) <= 1e-6 * g)
+            b.chord[lane] = ti.select(fits, 1.0, 0.0)
+            first = ti.min(first, ti.select(fits, -_CHORDS, 0))
             self._place(b, lane, b.q, linear)
+        return first
 
     @ti.func
     def digest(self, b: ti.template(), slot, r, linear):
         """Take in evaluation `r`, in register `slot`, and put z where the next one looks; return 1 when all lanes are done."""
-        turn = r % _CYCLE
+        turn = ti.select(r < 0, _CYCLE, r % _CYCLE)
         if (turn == 0) | ((turn > 3) & (linear == 0)):
             for lane in range(b.lanes):
-                self._take_residual(b, lane, slot)
+                self._take_residual(b, lane, slot, r)
         elif turn <= 3:
             for lane in range(b.lanes):
                 self._take_column(b, lane, slot, turn - 1)
@@ -83,7 +98,7 @@ class Newton:
                 self._take_motion(b, lane, slot)
         if (turn > 3) | ((turn == 3) & (linear == 0)) | (r + 1 == self.rounds_linear) & (linear > 0):
             for lane in range(b.lanes):
-                self._step(b, lane, linear)
+                self._step(b, lane, r, linear)
         waiting = ti.cast(0.0, float)
         for lane in range(b.lanes):
             if turn < 3:
@@ -147,13 +162,17 @@ class Newton:
         return ti.static(self.least) * ti.max(b.zbar[self.components - 1][lane], 1.0)
 
     @ti.func
-    def _take_residual(self, b: ti.template(), lane, slot):
+    def _take_residual(self, b: ti.template(), lane, slot, r):
         """Keep q if its residual q - f is the smallest so far, else go back half of the step (line search, slide 39)."""
         found = ti.Vector([b.q[d][lane] - b.k[self.first + d][slot + lane] for d in ti.static(range(3))])
         norm = found.norm_sqr()
-        better = norm < b.norm[lane]
+        takes = (r >= 0) | (b.chord[lane] > 0.0)
+        better = takes & (norm < b.norm[lane])
+        b.began[lane] = ti.select(better & (b.norm[lane] == ti.math.inf), norm, b.began[lane])
         b.norm[lane] = ti.select(better, norm, b.norm[lane])
-        b.damping[lane] = ti.select(better, 1.0, 0.5 * b.damping[lane])
+        # the first new columns begin with a whole step
+        whole = better | (r == 0) | ~takes
+        b.damping[lane] = ti.select(whole, 1.0, 0.5 * b.damping[lane])
         size = ti.cast(0.0, float)
         for d in ti.static(range(3)):
             b.best[d][lane] = ti.select(better, b.q[d][lane], b.best[d][lane])
@@ -167,17 +186,20 @@ class Newton:
     @ti.func
     def _take_column(self, b: ti.template(), lane, slot, column):
         """Fill a column of I - g df; f at the point itself is best - residual."""
+        waiting = b.waiting[lane] > 0.0
+        b.held[lane] = ti.select(waiting, b.g[lane], b.held[lane])
         for d in ti.static(range(3)):
             here = b.best[d][lane] - b.residual[d][lane]
             slope = (b.k[self.first + d][slot + lane] - here) / b.change[lane]
             for e in ti.static(range(3)):
                 if column == e:
-                    b.matrix[3 * d + e][lane] = ti.static(1.0 if d == e else 0.0) - b.g[lane] * slope
+                    entry = ti.static(1.0 if d == e else 0.0) - b.g[lane] * slope
+                    b.matrix[3 * d + e][lane] = ti.select(waiting, entry, b.matrix[3 * d + e][lane])
         if ti.static(self.heated):
             if column == 0:
                 here = b.heat[0][lane] - b.heat[1][lane]
                 slope = (b.k[self.components - 1][slot + lane] - here) / self._warmer(b, lane)
-                b.heat[2][lane] = 1.0 - b.g[lane] * slope
+                b.heat[2][lane] = ti.select(waiting, 1.0 - b.g[lane] * slope, b.heat[2][lane])
 
     @ti.func
     def _take_motion(self, b: ti.template(), lane, slot):
@@ -187,7 +209,7 @@ class Newton:
             b.residual[d][lane] -= b.k[self.first + d][slot + lane] - here
 
     @ti.func
-    def _step(self, b: ti.template(), lane, linear):
+    def _step(self, b: ti.template(), lane, r, linear):
         """q = best - damping (I - g df)^-1 residual; done if that moves z by no more than rounding and tolerance."""
         # Scaled to entries of at most 1, so that no product of three overflows; then Cramer's rule.
         largest = ti.cast(0.0, float)
@@ -197,15 +219,16 @@ class Newton:
         rows = [
             ti.Vector([b.matrix[3 * i + j][lane] * scale for j in ti.static(range(3))]) for i in ti.static(range(3))
         ]
-        r = ti.Vector([b.residual[d][lane] * scale for d in ti.static(range(3))])
+        left = ti.Vector([b.residual[d][lane] * scale for d in ti.static(range(3))])
         columns = [ti.Vector([rows[i][j] for i in ti.static(range(3))]) for j in ti.static(range(3))]
         across = columns[1].cross(columns[2])
         det = columns[0].dot(across)
         inverse = ti.select(det != 0.0, 1.0 / det, 0.0)
         step = inverse * ti.Vector(
-            [r.dot(across), r.dot(columns[2].cross(columns[0])), r.dot(columns[0].cross(columns[1]))]
+            [left.dot(across), left.dot(columns[2].cross(columns[0])), left.dot(columns[0].cross(columns[1]))]
         )
-        waiting, full = b.waiting[lane] > 0.0, b.damping[lane] == 1.0
+        waiting = (b.waiting[lane] > 0.0) & ((r >= 0) | (b.chord[lane] > 0.0))
+        full = b.damping[lane] == 1.0
         moved = size = slope = ti.cast(0.0, float)
         for d in ti.static(range(3)):
             b.q[d][lane] = ti.select(waiting, b.best[d][lane] - b.damping[lane] * step[d], b.q[d][lane])
@@ -213,7 +236,8 @@ class Newton:
             slope = ti.max(slope, ti.abs(b.q[d][lane]))
             size = ti.max(size, ti.abs(b.zbar[self.first + d][lane]))
         g = b.g[lane]
-        arrived = full & (inverse != 0.0)
+        arrived = waiting & full & (inverse != 0.0)
+        arrived &= (r >= 0) | (b.norm[lane] <= ti.static(_DROP**2) * b.began[lane])
         arrived &= g * moved <= ti.static(self.tolerance) * g * slope + ti.static(4 * self.epsilon) * size
         if ti.static(self.heated):
             warming = b.heat[1][lane] / b.heat[2][lane]

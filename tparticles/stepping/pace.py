@@ -12,7 +12,7 @@ import taichi as ti
 from .. import backend
 from ..schemes import Scheme
 from ..systems.attributes import Attribute, Columns
-from .control import CLAMPS, LARGEST_FACTOR, Tolerance, step_factor
+from .control import CALM, CLAMPS, Tolerance, step_factor
 from .table import Table
 
 NOBODY = 0x7FFFFFFF
@@ -57,8 +57,7 @@ class Pace:
         # Equal steps of one size for each particle are counted beforehand; all else decides anew after every step.
         self.counted = clamp == "equal" and not (self.chooses or self.steps_back)
         if tolerance is not None:
-            lower = min(scheme.order, scheme.error_order)
-            self.exponent = 1 / (lower if tolerance.per_unit_step else lower + 1)
+            self.exponent = 1 / (min(scheme.order, scheme.error_order) + 1)
             self.tried = columns["dt"][0]
         f64 = backend.current().precision == "f64"
         self.smallest = 2.0 ** (-40 if f64 else -20)  # step, in frames
@@ -91,7 +90,8 @@ class Pace:
             b.wish[lane] = dt
             b.calm[lane] = 1.0
         if ti.static(self.adaptive):
-            b.wish[lane] = ti.select(newborn, dt, ti.min(self.tried[i], dt))
+            first = ti.static(self.tolerance.first) * dt
+            b.wish[lane] = ti.select(newborn, first, ti.min(self.tried[i], dt))
         if ti.static(self.steps_back > 0):
             for register, d, past in ti.static(self.past):
                 b.k[d][register * b.lanes + lane] = past[i]
@@ -160,7 +160,7 @@ class Pace:
                 factor, lost = ti.cast(2.0, float), ti.cast(0.0, float)
                 if ti.static(self.adaptive):
                     e = b.error[lane]
-                    factor = step_factor(e, b.calm[lane], ti.static(self.exponent))
+                    factor = step_factor(e, b.calm[lane], ti.static(self.exponent), ti.static(self.tolerance.most))
                     fine *= ti.select(e <= 1.0, 1.0, 0.0)
                     lost = ti.select(e > ti.static(_NO_NUMBER / 2), 1.0, 0.0)
                     b.calm[lane] = ti.select(fine > 0.0, e, b.calm[lane])
@@ -169,10 +169,15 @@ class Pace:
                     factor = ti.select(b.failed[lane] > 0.0, 0.5, factor)
                     lost = ti.max(lost, ti.select(b.norm[lane] == ti.math.inf, b.failed[lane], 0.0))
                     b.failed[lane] = 0.0
-                # A step that the frame's end cut short says little about longer ones.
-                grown = ti.select(factor >= ti.static(LARGEST_FACTOR), ti.max(b.wish[lane], factor * h), factor * h)
+                grown = factor * h
                 if ti.static(not self.adaptive):
-                    grown = ti.select(fine > 0.0, 2.0 * b.wish[lane], factor * h)
+                    grown = ti.select(fine > 0.0, 2.0 * b.wish[lane], grown)
+                else:
+                    # A step that the frame's end cut short says little about longer ones.
+                    enough = factor >= ti.static(self.tolerance.most)
+                    grown = ti.select(enough, ti.max(b.wish[lane], grown), grown)
+                    trusted = ti.static(self.tolerance.trusted) * dt
+                    grown = ti.min(grown, ti.select(b.error[lane] <= ti.static(CALM), dt, trusted))
                 # No step at all: leave the loop. What is no number is left in the state, for the guard that names it.
                 hopeless = (h > 0.0) & (fine == 0.0) & (grown < ti.static(self.smallest) * span)
                 b.wish[lane] = ti.select(h > 0.0, ti.min(grown, dt), b.wish[lane])

@@ -1,8 +1,8 @@
 """The staged executor: a spring mesh advanced stage by stage, with the whole mesh as the barrier between them.
 
-`for sub-step: for op: for block of vertices`. A small mesh runs all sub-steps of a frame in one serial launch: a launch costs more
-than a sweep over some thousand vertices. A large one takes a launch for every evaluation and one for all ops up to the next. A
-scheme with an implicit stage is walked on the host, which hands the stage to a linear solver.
+`for sub-step: for pass: for block of vertices`, where a pass is an evaluation and all ops up to the next. A small mesh runs all
+sub-steps of a frame in one serial launch: a launch costs more than a pass over some thousand vertices. A large one takes a launch
+for every pass. A scheme with an implicit stage is walked on the host, which hands the stage to a linear solver.
 
 A mesh is one system: a contact, or a step of another size, makes the past worthless for all of it, and the starter runs again.
 """
@@ -24,8 +24,9 @@ from .contact import Contact
 from .control import CLAMPS
 from .fused import StepReport
 from .mesh_solver import MeshSolver, SolveResult
+from .passes import Passes
 from .recorder import UNRECORDED, Recorder
-from .stages import EVALUATE, SOLVE, Stages
+from .stages import SOLVE, Stages
 from .table import Table
 
 _SERIAL = 20_000  # vertices: below it one thread is faster than a launch for every op
@@ -76,7 +77,10 @@ class StagedStepper:
         self.reuses = int(self.table.reuses(velocity_free=velocity_free and not system.damped))
         self.recorder = recorder
         self.stages = Stages(system, self.table, contact, reuses=self.reuses, drives=self.drives, record=recorder)
-        self.coefficients = self.stages.coefficients
+        self.passes = Passes(self.table, reuses=self.reuses)
+        self.programs = self.passes.programs()
+        self.ends = contact.any or system.tears  # whether more ends a step than what the scheme says
+        self.plain = not (self.ends or self.drives or recorder or self.table.implicit)
         self.serial = backend.current().is_cpu and system.count <= _SERIAL and not self.table.implicit
         self.held, self.fresh, self.last_h, self.began = 0, 0, 0.0, 0.0
         self.contacts, self.rejected = 0, 0  # bounces and halved steps so far
@@ -93,7 +97,7 @@ class StagedStepper:
             mesh.rest[whole],
             mesh.mass,
             mesh.pinned,
-            tolerance=_PICTURE if self.coefficients.dtype == np.float32 else None,
+            tolerance=_PICTURE if self.stages.kind is np.float32 else None,
         )
 
     def forget(self) -> None:
@@ -148,29 +152,65 @@ class StagedStepper:
             left = left - n * h
 
     def _steps(self, t: float, h: float, count: int) -> None:
+        if self.plain:
+            self._plain_steps(t, h, count)
+        elif self.serial:
+            self._serial_steps(t, h, count)
+        else:
+            self._single_steps(t, h, count)
+
+    def _plain_steps(self, t: float, h: float, count: int) -> None:
+        """Take steps that nothing comes between."""
+        groups = list(self.passes.run(count, self.held, self.fresh))
         values = self.system.parameters.array
-        paths = self._paths(t, h, 1 if self.table.implicit else count)
         if self.serial:
-            claimed = self.recorder.claim() if self.recorder else UNRECORDED
-            result = self.stages.run(
-                t,
-                h,
-                count,
-                self.held,
-                self.fresh,
-                self.table.ops,
-                self.table.edges,
-                self.coefficients,
-                self.driven,
-                paths,
-                values,
-                *claimed,
-            )
-            self.held, self.fresh, bounces = (int(v) for v in result)
-            self.contacts += bounces
-            if self.recorder:
-                self.recorder.took(t, h, count)
-            return
+            edges = np.cumsum([0, *(len(passes) for _, passes in groups)])
+            steps = np.stack([[times for times, _ in groups], edges[:-1], edges[1:]], axis=1).astype(np.int32)
+            self.stages.walk(t, h, np.concatenate([passes for _, passes in groups]), steps, values)
+        else:
+            page, done = 0, 0
+            for times, passes in groups:
+                for _ in range(times):
+                    page = self._pass_over(passes, page, t + done * h, h)
+                    done += 1
+            self._turn(page)
+        self.held, self.fresh = min(self.held + count, self.steps_back), self.reuses
+
+    def _pass_over(self, passes: np.ndarray, page: int, t: float, h: float) -> int:
+        """Do the passes of a step, from `page` of the state; return the page that it is on then."""
+        for n, turns in enumerate(passes[:, 1]):
+            self.stages.pass_over(passes, n, page, t, h, self.system.parameters.array)
+            page ^= int(turns)
+        return page
+
+    def _turn(self, page: int) -> None:
+        """Bring the state to the page that everybody reads."""
+        if page:
+            self.stages.turn()
+
+    def _serial_steps(self, t: float, h: float, count: int) -> None:
+        """Take steps in one launch, with what comes between them."""
+        claimed = self.recorder.claim() if self.recorder else UNRECORDED
+        result = self.stages.run(
+            t,
+            h,
+            count,
+            self.held,
+            self.fresh,
+            *self.programs,
+            self.driven,
+            self._paths(t, h, count),
+            self.system.parameters.array,
+            *claimed,
+        )
+        self.held, self.fresh, bounces = (int(v) for v in result)
+        self.contacts += bounces
+        if self.recorder:
+            self.recorder.took(t, h, count)
+
+    def _single_steps(self, t: float, h: float, count: int) -> None:
+        """Take steps one by one, with what comes between them."""
+        paths = self._paths(t, h, 1 if self.table.implicit else count)
         for n in range(count):
             self.began = t + n * h
             if self.recorder and not self.recorder.due:
@@ -222,44 +262,25 @@ class StagedStepper:
 
     def _paths(self, t: float, h: float, count: int) -> np.ndarray:
         """Return where driven vertices are at the ends of the steps, (count + 1, d, 3)."""
-        kind = self.coefficients.dtype
+        kind = self.stages.kind
         if not self.drives:
             return np.zeros((2, 1, 3), kind)
         return np.stack([self.drive(t + n * h) for n in range(count + 1)]).astype(kind)
 
     def _one_step(self, t: float, h: float, paths: np.ndarray) -> None:
-        table = self.table
         starting = int(self.held < self.steps_back)
-        first, last = int(table.edges[starting]), int(table.edges[starting + 1])
-        arguments = (table.ops, self.coefficients, self.system.parameters.array)
         if self.drives:
             self.stages.aim(h, self.driven, paths)
-        begin = 1
-        op = first + self.fresh
-        while op < last or begin:
-            end = op
-            while end < last and table.ops[end, 0] not in (EVALUATE, SOLVE):
-                end += 1
-            if end > op or begin:
-                self.stages.sweep(begin, op, end, h, *arguments)
-                begin = 0
-            if end < last:
-                if table.ops[end, 0] == EVALUATE:
-                    self.stages.evaluate(
-                        int(table.ops[end, 1]),
-                        t + float(table.coefficients[end, 0]) * h,
-                        h,
-                        self.system.parameters.array,
-                    )
-                else:
-                    self._solve(end, t, h)
-            op = end + 1
+        passes = self.passes.step(starting, self.fresh, ends=False)
+        page = self._solved(passes, t, h) if self.table.implicit else self._pass_over(passes, 0, t, h)
         met = 0
-        if self.contact.any or self.system.tears:
+        if self.ends:
             met_at = self.recorder.met_at if self.recorder else UNRECORDED[4]
-            met = self.stages.finish(t, h, self.system.parameters.array, t + h - self.began, met_at)
-        if table.shifts:
-            self.stages.sweep(0, int(table.edges[2 + starting]), int(table.edges[3 + starting]), h, *arguments)
+            met = self.stages.finish(page, t, h, self.system.parameters.array, t + h - self.began, met_at)
+        else:
+            self._turn(page)
+        if self.table.shifts:
+            self.stages.end(starting, h)
         self.held, self.fresh = min(self.held + 1, self.steps_back), self.reuses
         if met:
             self.contacts += met
@@ -268,6 +289,18 @@ class StagedStepper:
             self.solver = self._make_solver()
         if self.drives:
             self.stages.place(self.driven, paths)
+
+    def _solved(self, passes: np.ndarray, t: float, h: float) -> int:
+        """Do as `_pass_over` for a step with implicit stages, from the first page."""
+        page = 0
+        for n, stage in enumerate(passes[:, 0]):
+            if stage >= 0 and self.table.ops[stage, 0] == SOLVE:
+                self._turn(page)
+                page = 0
+                self._solve(int(stage), t, h)
+            else:
+                page = self._pass_over(passes[n : n + 1], page, t, h)
+        return page
 
     def _solve(self, op: int, t: float, h: float) -> None:
         """Solve an implicit stage on the host: z = zbar + w h f(z), k = f(z)."""
@@ -287,7 +320,7 @@ class StagedStepper:
             found = self._solution(x, vbar, w, at, linear=linear, held=held)
         self.stages.put(
             int(row[1]),
-            *(np.ascontiguousarray(a, self.coefficients.dtype) for a in (found.x, found.v, (found.v - v) / w)),
+            *(np.ascontiguousarray(a, self.stages.kind) for a in (found.x, found.v, (found.v - v) / w)),
         )
 
     def _solution(

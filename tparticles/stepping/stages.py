@@ -1,4 +1,4 @@
-"""The stages of a mesh on the device: the ops of a scheme on blocks of vertices, in one launch for many steps or one at a time."""
+"""The passes of a scheme over a mesh on the device: in one launch for many steps, or a launch for each."""
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false
@@ -10,16 +10,16 @@ from .. import backend
 from ..schemes import OpKind
 from ..systems.spring_mesh import SpringMesh
 from .block import Block
+from .block_passes import LAYOUT, TURNS, BlockPasses
 from .contact import Contact
 from .recorder import Recorder
 from .table import Table
 
-# Ops by number: inside a kernel an enum member is no number.
-_COMBINE, EVALUATE, _KICK, _DRIFT = (int(k) for k in (OpKind.COMBINE, OpKind.EVALUATE, OpKind.KICK, OpKind.DRIFT))
-_ROTATE, _DIFFERENCE, SOLVE = int(OpKind.ROTATE), int(OpKind.DIFFERENCE), int(OpKind.SOLVE)
+SOLVE = int(OpKind.SOLVE)
 
 _EXACT = 512  # vertices: up to here the whole mesh goes back to the moment of a contact
 _EVENTS = 32  # contacts in a step before they are resolved vertex by vertex
+_CHUNKS = 16  # of a mesh for each thread: loops within one are quicker than a call for every block of it
 
 
 @ti.data_oriented
@@ -40,16 +40,60 @@ class Stages:
     ):
         self.system, self.table, self.contact = system, table, contact
         self.reuses, self.drives = reuses, drives
-        self.registers, self.steps_back = table.scheme.registers, table.scheme.steps_back
+        self.edges = [int(edge) for edge in table.edges]
+        self.per_block = BlockPasses(system, table, contact)
+        self.steps_back = table.scheme.steps_back
         self.exact = contact.any and system.count <= _EXACT and not table.implicit
-        self.coefficients = table.coefficients.astype(
-            np.float64 if backend.current().precision == "f64" else np.float32
-        )
-        self.layout = {"z": 6, "f": 3, "a": 3, "u": 3} | ({"e": 1} if system.tallies else {})
+        self.kind = np.float64 if backend.current().precision == "f64" else np.float32
+        cpu = backend.current().is_cpu
+        self.width = max(1, system.blocks // (_CHUNKS * backend.current().threads)) if cpu else 1
+        self.chunks = -(-system.blocks // self.width)
+        self.chunk_dim = 1 if cpu else None
         self.recorder, self.records = record, record is not None
-        # What nobody reads is not written: the state a step began with, the part v of a slope.
-        self.moves = bool({_COMBINE, SOLVE} & table.kinds)
-        self.remembers = self.moves or _DIFFERENCE in table.kinds or contact.any
+
+    @ti.kernel
+    def pass_over(
+        self,
+        passes: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        n: ti.i32,
+        page: ti.i32,
+        t: ti.f64,
+        h: float,
+        values: ti.types.ndarray(ndim=1),
+    ):
+        """Do pass `n` of a step of `h` from `t` [s], from `page` of the state."""
+        ti.static(self.system.parameters.read_from(values))
+        if ti.static(self.system.repels):
+            for _ in range(1):
+                self.system.meet(page)
+        ti.loop_config(block_dim=self.chunk_dim)
+        for chunk in range(self.chunks):
+            for block in range(chunk * self.width, ti.min((chunk + 1) * self.width, self.system.blocks)):
+                self.per_block.take(block, page, passes, n, ti.cast(t, float), h)
+
+    @ti.kernel
+    def walk(
+        self,
+        t0: ti.f64,
+        h: float,
+        passes: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        steps: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        values: ti.types.ndarray(ndim=1),
+    ):
+        """Take steps of `h` from `t0` [s] that nothing comes between, on one thread.
+
+        `steps`, (m, 3): so many times, the passes from here, to there.
+        """
+        ti.static(self.system.parameters.read_from(values))
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            page, step = 0, 0
+            for kind in range(steps.shape[0]):
+                for _again in range(steps[kind, 0]):
+                    t = ti.cast(t0 + step * ti.cast(h, ti.f64), float)
+                    page = self._passes(page, passes, steps[kind, 1], steps[kind, 2], t, h)
+                    step += 1
+            self._turn_all(page)
 
     @ti.kernel
     def run(
@@ -59,9 +103,8 @@ class Stages:
         count: ti.i32,
         held0: ti.i32,
         fresh0: ti.i32,
-        ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        passes: ti.types.ndarray(dtype=ti.i32, ndim=2),
         edges: ti.types.ndarray(dtype=ti.i32, ndim=1),
-        coefficients: ti.types.ndarray(ndim=2),
         driven: ti.types.ndarray(dtype=ti.i32, ndim=1),
         paths: ti.types.ndarray(ndim=3),
         values: ti.types.ndarray(ndim=1),
@@ -72,7 +115,7 @@ class Stages:
         met_at: ti.types.ndarray(dtype=ti.f64, ndim=2),
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
     ) -> ti.types.vector(3, ti.i32):
-        """Take `count` steps of `dt` from `t0` [s] on one thread.
+        """Take `count` steps of `dt` from `t0` [s] with what comes between them, on one thread.
 
         Return how many steps the past holds, whether k_0 is known, and how many vertices bounced.
         """
@@ -89,10 +132,10 @@ class Stages:
                     starting = ti.select(held < self.steps_back, 1, 0)
                     if ti.static(self.records):
                         if (events == 0) & self.recorder.wants(step, due):
-                            slot = self._probed(starting, fresh, t, left, ops, edges)
+                            slot = self._probed(starting, fresh, t, left)
                             fresh = ti.select(ti.static(self.table.probe < 0), 1, fresh)
                             self.recorder.row(row + (step - due) // self.recorder.every, slot, state, energy, chosen)
-                    self._program(starting, fresh, t, left, dt, ops, edges, coefficients)
+                    self._program(2 * starting + fresh, t, left, passes, edges)
                     reached, hit = left, ti.cast(2.0, float)
                     if ti.static(self.exact):
                         if events < _EVENTS:
@@ -105,16 +148,8 @@ class Stages:
                                 for d in ti.static(range(6)):
                                     self.system.z[d][i] = self.system.z0[d][i]
                             if reached > 0.0:
-                                self._program(
-                                    ti.select(ti.static(self.steps_back > 0), 1, 0),
-                                    0,
-                                    t,
-                                    reached,
-                                    dt,
-                                    ops,
-                                    edges,
-                                    coefficients,
-                                )
+                                starter = ti.select(ti.static(self.steps_back > 0), 2, 0)
+                                self._program(starter, t, reached, passes, edges)
                             left -= reached
                             events += 1
                     met = self._finish_all(
@@ -122,7 +157,8 @@ class Stages:
                     )
                     bounces += met
                     if ti.static(self.table.shifts):
-                        self._shift_all(starting, ops, edges, coefficients, reached)
+                        for block in range(self.system.blocks):
+                            self.per_block.end(block, starting, reached)
                     kept = (met == 0) & (hit >= 1.0)
                     held = ti.select(kept, ti.min(held + 1, self.steps_back), 0)
                     fresh = ti.select(kept, self.reuses, 0)
@@ -133,41 +169,36 @@ class Stages:
         return ti.Vector([held, fresh, bounces])
 
     @ti.func
-    def _program(
-        self, starting, fresh, t, h, dt, ops: ti.template(), edges: ti.template(), coefficients: ti.template()
-    ):
-        """Run the scheme's program, or its starter's, on all blocks, and remember the state it began with."""
-        op, last, begin = edges[0] + fresh, edges[1], 1
-        if starting > 0:
-            op, last = edges[1] + fresh, edges[2]
-        while (op < last) | (begin > 0):
-            end = op
-            while self._alone(end, last, ops):
-                end += 1
-            if (end > op) | (begin > 0):
-                for block in range(self.system.blocks):
-                    self._move(block, begin, op, end, h, ops, coefficients)
-                begin = 0
-            if end < last:
-                for block in range(self.system.blocks):
-                    self._evaluate(block, ops[end, 1], t + coefficients[end, 0] * h, h)
-            op = end + 1
+    def _program(self, variant, t, h, passes: ti.template(), edges: ti.template()):
+        """Run one of the programs in `Passes.programs`, from the first page of the state to the first page."""
+        self._turn_all(self._passes(0, passes, edges[variant], edges[variant + 1], t, h))
 
     @ti.func
-    def _alone(self, op, last, ops: ti.template()):
-        """Return whether `op` is one that looks at nothing but a vertex itself."""
-        result = False
-        if op < last:
-            result = ops[op, 0] != EVALUATE
-        return result
-
-    @ti.func
-    def _probed(self, starting, fresh, t, h, ops: ti.template(), edges: ti.template()):
-        """Return the register with the slope at the beginning of a step, which is worked out if it is not known."""
-        slot = ti.select(ti.static(self.table.probe < 0), ops[edges[starting], 1], ti.static(self.table.probe))
-        if ti.static(self.table.probe >= 0) or fresh == 0:
+    def _passes(self, page0, passes: ti.template(), first, last, t, h):
+        """Do passes first..last-1 on one thread; return the page that the state is on."""
+        page = page0
+        for n in range(first, last):
+            self.system.meet(page)
             for block in range(self.system.blocks):
-                self._evaluate(block, slot, t, h)
+                self.per_block.take(block, page, passes, n, t, h)
+            page ^= passes[n, TURNS]
+        return page
+
+    @ti.func
+    def _turn_all(self, page):
+        if page > 0:
+            for block in range(self.system.blocks):
+                self.per_block.turn(block)
+
+    @ti.func
+    def _probed(self, starting, fresh, t, h):
+        """Return the register with the slope at the beginning of a step, which is worked out if it is not known."""
+        first = ti.select(starting > 0, ti.static(self.edges[1]), ti.static(self.edges[0]))
+        slot = ti.select(ti.static(self.table.probe < 0), self.per_block.ops[first, 1], ti.static(self.table.probe))
+        if ti.static(self.table.probe >= 0) or fresh == 0:
+            self.system.meet(0)
+            for block in range(self.system.blocks):
+                self.per_block.evaluate(block, slot, t, h)
         return slot
 
     @ti.func
@@ -207,11 +238,6 @@ class Stages:
         return 0.5 * dt * first.norm()
 
     @ti.func
-    def _shift_all(self, starting, ops: ti.template(), edges: ti.template(), coefficients: ti.template(), h):
-        for block in range(self.system.blocks):
-            self._move(block, 0, edges[2 + starting], edges[3 + starting], h, ops, coefficients)
-
-    @ti.func
     def _aim(self, step, h, driven: ti.template(), paths: ti.template()):
         """Give driven vertices the velocity that takes them along their path."""
         for n in range(driven.shape[0]):
@@ -224,112 +250,42 @@ class Stages:
             for d in ti.static(range(3)):
                 self.system.z[d][driven[n]] = paths[step, n, d]
 
-    # What one block of vertices does.
-
-    @ti.func
-    def _evaluate(self, block, slot, t, h):
-        """k_s = f(t, z) = (v, a)."""
-        lanes = ti.static(self.system.lanes)
-        vectors = [ti.Vector([0.0] * lanes) for _ in range(ti.static(sum(self.layout.values())))]
-        b = ti.static([Block(self.layout, vectors, [], self.system.lanes)])[0]
-        self.system.gather(b, block, t)
-        if ti.static(self.contact.any):
-            self.contact.press(b, block, t, h)
-        for lane in range(lanes):
-            i = slot * self.system.padded + block * lanes + lane
-            for d in ti.static(range(3)):
-                if ti.static(self.moves):
-                    self.system.k[d][i] = b.z[3 + d][lane]
-                self.system.k[3 + d][i] = b.a[d][lane]
-            if ti.static(self.system.tallies):
-                self.system.k[6][i] = b.e[lane]
-
-    @ti.func
-    def _move(self, block, begin, first, last, h, ops: ti.template(), coefficients: ti.template()):
-        """Run ops first..last-1, which look at nothing but a vertex itself; `begin` a step before them."""
-        lanes, away = ti.static(self.system.lanes, self.system.padded)
-        vectors = [ti.Vector([0.0] * lanes) for _ in range(6)]
-        b = ti.static([Block({"z": 6}, vectors, [], self.system.lanes)])[0]
-        i = block * lanes
-        for lane in range(lanes):
-            for d in ti.static(range(6)):
-                b.z[d][lane] = self.system.z[d][i + lane]
-        if ti.static(self.remembers):
-            if begin > 0:
-                for lane in range(lanes):
-                    for d in ti.static(range(6)):
-                        self.system.z0[d][i + lane] = b.z[d][lane]
-        for op in range(first, last):
-            kind = ops[op, 0]
-            if ti.static(_COMBINE in self.table.kinds):
-                if kind == _COMBINE:
-                    for lane in range(lanes):
-                        for d in ti.static(range(6)):
-                            b.z[d][lane] = self.system.z0[d][i + lane]
-                    self._add(b, i, op, h, ti.static(range(6)), coefficients)
-            if ti.static(_KICK in self.table.kinds):
-                if kind == _KICK:
-                    self._add(b, i, op, h, ti.static(range(3, 6)), coefficients)
-            if ti.static(_DRIFT in self.table.kinds):
-                if kind == _DRIFT:
-                    for lane in range(lanes):
-                        for d in ti.static(range(3)):
-                            b.z[d][lane] += h * coefficients[op, 1] * b.z[3 + d][lane]
-            if ti.static(_ROTATE in self.table.kinds):
-                if kind == _ROTATE:
-                    for lane in range(lanes):
-                        for d in ti.static(range(len(self.system.k))):
-                            self.system.k[d][ops[op, 1] * away + i + lane] = self.system.k[d][
-                                ops[op, 2] * away + i + lane
-                            ]
-            if ti.static(_DIFFERENCE in self.table.kinds):
-                if kind == _DIFFERENCE:
-                    for lane in range(lanes):
-                        for d in ti.static(range(6)):
-                            off = b.z[d][lane] - self.system.z0[d][i + lane]
-                            self.system.k[d][ops[op, 1] * away + i + lane] = off / h
-        for lane in range(lanes):
-            for d in ti.static(range(6)):
-                self.system.z[d][i + lane] = b.z[d][lane]
-
-    @ti.func
-    def _add(self, b: ti.template(), i, op, h, components: ti.template(), coefficients: ti.template()):
-        """z += h sum_j w_j k_j, in some components."""
-        for j in range(ti.static(self.registers)):
-            w = coefficients[op, 1 + j] * h
-            if w != 0.0:
-                for lane in range(b.lanes):
-                    for d in ti.static(components):
-                        b.z[d][lane] += w * self.system.k[d][j * self.system.padded + i + lane]
+    @ti.kernel
+    def end(self, starting: ti.i32, h: float):
+        """Run what ends a step, on all vertices."""
+        for block in range(self.system.blocks):
+            self.per_block.end(block, starting, h)
 
     @ti.kernel
-    def sweep(
-        self,
-        begin: ti.i32,
-        first: ti.i32,
-        last: ti.i32,
-        h: float,
-        ops: ti.types.ndarray(dtype=ti.i32, ndim=2),
-        coefficients: ti.types.ndarray(ndim=2),
-        values: ti.types.ndarray(ndim=1),
-    ):
-        """Run ops that look at nothing but a vertex itself, first..last-1, on all blocks; `begin` a step before it."""
+    def turn(self):
+        """Copy the state from the second page to the first."""
         for block in range(self.system.blocks):
-            self._move(block, begin, first, last, h, ops, coefficients)
+            self.per_block.turn(block)
 
     @ti.kernel
     def evaluate(self, slot: ti.i32, t: float, h: float, values: ti.types.ndarray(ndim=1)):
         """Put f(t, z) into register `slot`."""
         ti.static(self.system.parameters.read_from(values))
+        if ti.static(self.system.repels):
+            for _ in range(1):
+                self.system.meet(0)
         for block in range(self.system.blocks):
-            self._evaluate(block, slot, t, h)
+            self.per_block.evaluate(block, slot, t, h)
 
     @ti.kernel
     def finish(
-        self, t: float, h: float, values: ti.types.ndarray(ndim=1), after: float, met_at: ti.types.ndarray(ndim=2)
+        self,
+        page: ti.i32,
+        t: float,
+        h: float,
+        values: ti.types.ndarray(ndim=1),
+        after: float,
+        met_at: ti.types.ndarray(ndim=2),
     ) -> ti.i32:
-        """End a step: contacts and tears. Return how many vertices bounced."""
+        """End a step that has led to `page` of the state: contacts and tears. Return how many vertices bounced."""
         ti.static(self.system.parameters.read_from(values))
+        for block in range(page * self.system.blocks):
+            self.per_block.turn(block)
         return self._finish_all(t, h, h, False, 0, after, met_at)
 
     @ti.kernel
@@ -346,7 +302,7 @@ class Stages:
 
     def outside(self, x: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
         """Return the accelerations beside the springs [m/s^2], (n, 3), with the vertices at `x` and `v`, (n, 3) each."""
-        kind = self.coefficients.dtype
+        kind = self.kind
         a = np.zeros((self.system.count, 3), kind)
         self._outside(*(np.ascontiguousarray(array, kind) for array in (x, v)), a, t, self.system.parameters.array)
         return a
@@ -362,8 +318,8 @@ class Stages:
     ):
         ti.static(self.system.parameters.read_from(values))
         for block in range(self.system.blocks):
-            vectors = [ti.Vector([0.0] * self.system.lanes) for _ in range(ti.static(sum(self.layout.values())))]
-            b = ti.static([Block(self.layout, vectors, [], self.system.lanes)])[0]
+            vectors = [ti.Vector([0.0] * self.system.lanes) for _ in range(ti.static(sum(LAYOUT.values())))]
+            b = ti.static([Block(LAYOUT, vectors, [], self.system.lanes)])[0]
             for lane in range(self.system.lanes):
                 i = ti.min(block * self.system.lanes + lane, self.system.count - 1)
                 for d in ti.static(range(3)):

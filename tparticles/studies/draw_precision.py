@@ -74,7 +74,7 @@ def _looks(result: Precision) -> dict[str, dict[str, Any]]:
             peers.append(label)
             position = len(peers) - 1
             look = {"color": _PEER, "marker": style.MARKERS[position // 2 % len(style.MARKERS)]}
-            dashes = "-" if label.endswith("stacked") else ":"
+            dashes = ":" if label.endswith("each") else "-"
             looks[label] = look | {"linestyle": dashes, "linewidth": 1.2, "markersize": 4}
             continue
         if p.solver not in ours:

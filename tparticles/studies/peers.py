@@ -20,10 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from .cloth import Cloth
 from .work_problems import Work
 
 INSTALL = "no peers: scipy is missing; install it with: pip install 'tparticles[studies]'"
 METHODS = ("DOP853", "LSODA", "BDF", "Radau")
+MESH_METHODS = ("DOP853", "BDF", "Radau")  # LSODA has no sparse Jacobian
 SUBSET = 8
 
 
@@ -99,6 +101,22 @@ def each(work: Work, start: np.ndarray, method: str, tolerance: float, *, limit:
     return Solved(states, chosen, seconds * count / len(chosen), evaluations / len(chosen))
 
 
+def whole(work: Work, start: np.ndarray, method: str, tolerance: float, *, limit: float) -> Solved | None:
+    """Solve for a mesh, with its sparse Jacobian where the method takes one; None if that takes more than `limit` [s]."""
+    problem, shape = work.problem, start.shape
+    assert isinstance(problem, Cloth)
+
+    def f(t: float, y: np.ndarray) -> np.ndarray:
+        return problem.rate(t, y.reshape(shape)).ravel()
+
+    more = {} if method == "DOP853" else {"jac": lambda t, y: problem.jacobian(t, y.reshape(shape))}
+    found = _solve(f, work.span, start.ravel(), method, tolerance, limit=limit, more=more)
+    if found is None:
+        return None
+    y, seconds, evaluations = found
+    return Solved(y.reshape(shape), np.arange(shape[1]), seconds, evaluations)
+
+
 def _solve(
     f: Callable[..., np.ndarray],
     span: float,
@@ -136,9 +154,11 @@ def sweep(
 ) -> Iterator[tuple[str, str, float, Solved]]:
     """Yield (method, way, tolerance, what it gave), from loose to tight; a solver that runs past `limit` [s] is left there."""
     ways: dict[str, Callable[..., Solved | None]] = {"stacked": stacked, "each": each}
-    for method in METHODS:
+    if work.coupled:
+        ways = {"whole": whole}
+    for method in MESH_METHODS if work.coupled else METHODS:
         for way, solve in ways.items():
-            for tolerance in tolerances if way == "stacked" else tolerances[::3]:
+            for tolerance in tolerances[::3] if way == "each" else tolerances:
                 found = solve(work, start, method, tolerance, limit=limit)
                 if found is None:
                     break
@@ -146,7 +166,7 @@ def sweep(
 
 
 def reference(work: Work, start: np.ndarray) -> np.ndarray:
-    """Return DOP853's solution to 1e-13, of all particles at once."""
-    found = stacked(work, start, "DOP853", 1e-13, limit=600.0)
+    """Return DOP853's solution to 1e-13 (of a mesh to 1e-12), of all particles at once."""
+    found = (whole if work.coupled else stacked)(work, start, "DOP853", 1e-12 if work.coupled else 1e-13, limit=600.0)
     assert found is not None
     return found.states

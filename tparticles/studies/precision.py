@@ -19,6 +19,7 @@ from ..schemes import Scheme, doubled
 from ..stepping.control import ErrorControl, check_precision
 from ..stepping.fused import StepReport
 from . import peers
+from .cloth import Cloth, MeshEnsemble
 from .ensemble import Ensemble, applicable, start_engine
 from .work_problems import Work
 
@@ -31,6 +32,7 @@ FLOOR = {"f32": 1e-6, "f64": 1e-9}  # of the error: finer steps gain nothing, or
 _BLOWN = 1e3  # an error above this is no result
 _LONGEST = 0.5  # [s]; a sweep ends with the first run that takes longer
 _LONGEST_PEER = 6.0
+_LONGEST_MESH, _LONGEST_MESH_PEER = 2.0, 30.0  # implicit solvers take long over a step
 _REPEATED, _REPEATS = 0.15, 4  # a run is timed again until this long [s], at most so often
 
 
@@ -116,12 +118,13 @@ def study(
     targets: Sequence[float] = TARGETS,
     with_peers: bool = True,
     peer_tolerances: Sequence[float] = PEER_TOLERANCES,
-    peer_limit: float = _LONGEST_PEER,
+    peer_limit: float | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Precision:
     """Measure each of the schemes that run the problem `work`, in each precision, over `steps` and over `tolerances`.
 
-    `count` particles. `targets`: errors for which the cheapest is named. `peer_limit` [s] ends the sweep of a peer.
+    `count` particles. `targets`: errors for which the cheapest is named. `peer_limit` [s] ends the sweep of a peer, by default at
+    6 s, with meshes at 30 s.
 
     Raises:
         InputError: none of the schemes runs the problem.
@@ -135,22 +138,30 @@ def study(
         left = ", ".join(scheme.name for scheme in chosen if scheme not in fitting)
         notes.append(f"do not apply to this problem: {left}")
     start = work.problem.start(count)
+    particles = start.shape[1]  # a mesh has as many as it has
     with_peers = with_peers and peers.has_scipy()
+    peer_limit = peer_limit or (_LONGEST_MESH_PEER if work.coupled else _LONGEST_PEER)
     tell(f"precision: reference of {name}")
     exact = _exact(work, start)
     points: list[Point] = []
     for precision in precisions:
         start_engine(precision)
-        ensemble = Ensemble(work.problem, start, share=False)
+        if isinstance(work.problem, Cloth):
+            ensemble = MeshEnsemble(work.problem)
+        else:
+            ensemble = Ensemble(work.problem, start, share=False)
         for scheme in fitting:
             tell(f"precision: {scheme.name}, {name}, {precision}")
             points += _fixed(ensemble, work, scheme, exact, precision, steps)
-            points += _adaptive(ensemble, work, scheme, exact, precision, tolerances)
+            if isinstance(ensemble, Ensemble):  # a mesh steps as a whole
+                points += _adaptive(ensemble, work, scheme, exact, precision, tolerances)
     if with_peers:
         tell(f"precision: scipy, {name}")
         points += peer_points(work, start, exact, peer_tolerances, peer_limit)
         notes.append(
-            "scipy stacked: one solve_ivp over all particles (Jacobian by blocks); each: one for each particle of a subset of "
+            f"scipy: one solve_ivp with the sparse Jacobian of the mesh; left out: runs above {peer_limit:g} s"
+            if work.coupled
+            else "scipy stacked: one solve_ivp over all particles (Jacobian by blocks); each: one for each particle of a subset of "
             f"{min(peers.SUBSET, count)}, its time scaled to all of them; left out: runs above {peer_limit:g} s"
         )
     else:
@@ -159,7 +170,7 @@ def study(
         subject=name,
         what=work.what,
         unit="largest component, SI",
-        particles=count,
+        particles=particles,
         points=tuple(points),
         choices=choices(points, targets, precisions),
         notes=tuple(notes),
@@ -171,19 +182,25 @@ def _free(work: Work) -> str:
 
 
 def _exact(work: Work, start: np.ndarray) -> np.ndarray:
-    """Return the closed form, or for the chaotic tracers an independent solver's result, if it is there."""
-    if work.problem.name == "abc" and peers.has_scipy():
+    """Return the closed form, or for tracers and meshes an independent solver's result, if it is there."""
+    if (work.problem.name == "abc" or work.coupled) and peers.has_scipy():
         return peers.reference(work, start)
     return work.problem.solution(work.span, start)
 
 
 def _fixed(
-    ensemble: Ensemble, work: Work, scheme: Scheme, exact: np.ndarray, precision: str, steps: Sequence[int]
+    ensemble: Ensemble | MeshEnsemble,
+    work: Work,
+    scheme: Scheme,
+    exact: np.ndarray,
+    precision: str,
+    steps: Sequence[int],
 ) -> Iterator[Point]:
     def run(n: int) -> Point | None:
         return _timed(ensemble, work, scheme, exact, precision, setting=work.span / n)
 
-    yield from until_useless(map(run, steps), FLOOR[precision])
+    longest = _LONGEST_MESH if work.coupled else _LONGEST
+    yield from until_useless(map(run, steps), FLOOR[precision], longest=longest)
 
 
 def _adaptive(
@@ -226,7 +243,7 @@ def until_useless(points: Iterable[Point | None], floor: float, *, longest: floa
 
 
 def _timed(
-    ensemble: Ensemble,
+    ensemble: Ensemble | MeshEnsemble,
     work: Work,
     scheme: Scheme,
     exact: np.ndarray,

@@ -35,8 +35,9 @@ def command(options: Callable[..., Any], teller: Callable[[bool], Callable[[str]
 
         Wall time and evaluations against error, for every scheme over steps and tolerances; the cheapest for some errors.
 
-        PROBLEM is abc, stiff-drag or kepler: an ensemble with a known solution, next to scipy's solvers in the same run, where
-        scipy is installed. SCENE is a scene file or the name of one in ./scenes: errors are in pixels, as its camera sees them.
+        PROBLEM is abc, stiff-drag or kepler, an ensemble with a known solution, or cloth-1e4, cloth-1e5 or cloth-1e6, a taut
+        cloth by its stiffness: next to scipy's solvers in the same run, where scipy is installed. SCENE is a scene file or the
+        name of one in ./scenes: errors are in pixels, as its camera sees them.
         """
         from .. import schemes
         from ..command_options import print_json, stdout_kept
@@ -83,12 +84,14 @@ def _study(
     if subject in WORKS:
         if frame is not None:
             raise InputError(f"--frame belongs to scenes, and '{subject}' is a problem; leave it out")
+        if count is not None and WORKS[subject].coupled:
+            raise InputError(f"--count belongs to ensembles, and '{subject}' is one mesh; leave it out")
         wanted = chosen or list(schemes.CATALOGUE.values())
         amount = precision.COUNT if count is None else count
         return f"precision-{subject}", lambda tell: precision.study(
             subject, WORKS[subject], wanted, precisions=precisions, count=amount, tell=tell
         )
-    if Path(subject).suffix != ".py" and subject not in library.names():
+    if Path(subject).suffix not in (".py", ".toml", ".json") and subject not in library.names():
         raise unknown("problem or scene", subject, [*WORKS, *library.names()])
     if count is not None:
         raise InputError(f"--count belongs to problems, and '{subject}' is a scene; leave it out")

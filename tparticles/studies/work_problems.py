@@ -13,7 +13,11 @@ from typing import ClassVar
 import numpy as np
 import taichi as ti
 
+from ..physics.elementary import sin_cos
+from .cloth import Cloth
 from .problems import Problem, Tracers, spread
+
+_TURNS = 1 / (2 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Sparks:
     @ti.func
     def acceleration(self, t, x, v):
         """Return x''."""
-        rate, c = 1.0 / x[1], ti.cos(t)
+        rate, c = 1.0 / x[1], sin_cos(_TURNS * t)[1]
         ax = (self.wind[0] * c - v[0]) * rate + self.g[0]
         az = (self.wind[1] * c - v[2]) * rate + self.g[1]
         return ti.Vector([ax, 0.0 * ax, az])
@@ -113,6 +117,11 @@ class Work:
     stiff: bool = False
     moving: tuple[int, ...] = dataclasses.field(default=())  # components that a solver has to be given; () for all
 
+    @property
+    def coupled(self) -> bool:
+        """Whether it is one mesh, not an ensemble of particles."""
+        return isinstance(self.problem, Cloth)
+
 
 WORKS: dict[str, Work] = {
     "abc": Work(Tracers(), 5.0, "tracers of the ABC flow to t = 5"),
@@ -120,4 +129,13 @@ WORKS: dict[str, Work] = {
         Sparks(), 2.0, "sparks, response times 1e-4 to 1e-1 s, to t = 2 s", stiff=True, moving=Sparks.moving
     ),
     "kepler": Work(Kepler(), 2 * math.pi, "planets, eccentricities up to 0.6, one turn"),
+    **{
+        f"cloth-1e{power}": Work(
+            Cloth(10.0**power),
+            0.05,
+            f"taut cloth of 16 x 16 vertices, stiffness ratio 1e{power}, to t = 0.05 s",
+            stiff=True,
+        )
+        for power in (4, 5, 6)
+    },
 }

@@ -17,6 +17,8 @@ import taichi as ti
 from .. import backend
 from ..binding import Parameters
 from ..physics.mesh import Mesh
+from ..physics.repulsion import Repulsion
+from .hashed_grid import HashedGrid
 from .terms import FLOW_REGISTER, first_writers, force
 from .topology import LANES, Adjacency
 
@@ -31,11 +33,23 @@ class SpringMesh:
         fixed: vertices, bool (n,), that no force moves.
         registers: how many slopes to hold.
         tallies: whether a slope holds the energy of the springs, too: half of each spring's with either end.
+        repulsion: how vertices that come near each other repel.
 
-    `z`, `z0`: 6 fields (x, v) of the padded length; `k`: 6 fields of slopes (7 with the energy [J]), register j from j * padded on.
+    `z`: 6 fields (x, v) of two pages, of the padded length each: the state, and room for the next one while some vertices still
+    look at this one; a pass that moves vertices reads one page and writes the other. `z0`: 6 fields of one page. `k`: 6 fields of
+    slopes (7 with the energy [J]), register j from j * padded on.
     """
 
-    def __init__(self, mesh: Mesh, *, forces: Sequence[Any], fixed: np.ndarray, registers: int, tallies: bool = False):
+    def __init__(
+        self,
+        mesh: Mesh,
+        *,
+        forces: Sequence[Any],
+        fixed: np.ndarray,
+        registers: int,
+        tallies: bool = False,
+        repulsion: Repulsion | None = None,
+    ):
         self.mesh, self.count = mesh, len(mesh.x)
         self.real = backend.current().real
         self.lanes = backend.current().lanes
@@ -47,7 +61,9 @@ class SpringMesh:
         self.blocks = self.padded // self.lanes
         self.damped = bool(np.any(mesh.damping > 0))
         self.tears = bool(np.any(np.isfinite(mesh.tear)))
-        self.z, self.z0 = self._fields(6), self._fields(6)
+        # Filled when all are declared: Taichi lays out together what is declared together, and holds few layouts.
+        self._contents: list[tuple[Any, np.ndarray]] = []
+        self.z, self.z0 = self._fields(6, 2), self._fields(6)
         self.tallies = tallies
         self.k = self._fields(6 + tallies, registers)
         (self.inverse_mass,) = self._fields(1)
@@ -63,7 +79,12 @@ class SpringMesh:
         self.limit = self._filled(self._per_entry(mesh.rest * (1 + mesh.tear)), self.real) if self.tears else None
         weights = np.zeros(self.padded)
         weights[: self.count] = np.where(fixed, 0.0, 1.0 / mesh.mass)
-        self._fill(self.inverse_mass, weights)
+        self.repels = repulsion is not None
+        self.grid: Any = HashedGrid(repulsion, self.z, self.count) if repulsion else None
+        for field, values in ((self.inverse_mass, weights), *self._contents):
+            self._fill(field, values)
+        if self.grid:
+            self.grid.fill()
         self.write(mesh.x, mesh.v)
 
     def _fields(self, components: int, times: int = 1) -> tuple[Any, ...]:
@@ -72,7 +93,7 @@ class SpringMesh:
     def _filled(self, values: np.ndarray, kind: Any) -> Any:
         field = ti.field(kind, max(1, len(values)))
         if len(values):
-            self._fill(field, values)
+            self._contents.append((field, values))
         return field
 
     def _fill(self, field: Any, values: np.ndarray) -> None:
@@ -88,7 +109,7 @@ class SpringMesh:
         for d in range(6):
             column = np.zeros(self.padded)
             column[: self.count] = (x if d < 3 else v)[:, d % 3]
-            self._fill(self.z[d], column)
+            self._fill(self.z[d], np.tile(column, 2))
             self._fill(self.z0[d], column)
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
@@ -114,16 +135,24 @@ class SpringMesh:
                 field.from_numpy(values)
 
     @ti.func
-    def gather(self, b: ti.template(), block, t):
+    def meet(self, page):
+        """Find which vertices are near each other, before a block is gathered. One thread."""
+        if ti.static(self.repels):
+            self.grid.sort(page * self.padded)
+
+    @ti.func
+    def gather(self, b: ti.template(), block, page, t):
         """Put state and acceleration of a block of vertices into b.z and b.a; t [s]."""
         for lane in range(b.lanes):
-            i = block * b.lanes + lane
+            i = page * self.padded + block * b.lanes + lane
             for d in ti.static(range(6)):
                 b.z[d][lane] = self.z[d][i]
             for d in ti.static(range(3)):
                 b.a[d][lane] = b.f[d][lane] = 0.0
         # Vectors of their own: where one loop over the lanes follows another on the same ones, the first is not vectorised.
-        self._pull(b, block)
+        self._pull(b, block, page * self.padded)
+        if ti.static(self.repels):
+            self._repel(b, block, page * self.padded)
         self.push(b, t)
         for lane in range(b.lanes):
             w = self.inverse_mass[block * b.lanes + lane]
@@ -131,22 +160,22 @@ class SpringMesh:
                 b.a[d][lane] = ti.select(w > 0.0, b.a[d][lane] + w * b.f[d][lane], 0.0)
 
     @ti.func
-    def _pull(self, b: ti.template(), block):
+    def _pull(self, b: ti.template(), block, away):
         """f_i = sum_j (k (l - l0) + c d.(v_j - v_i) / l) d / l with d = x_j - x_i, l = |d|."""
         first = block * b.lanes
         for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
             for lane in range(b.lanes):
-                self._pull_by(b, lane, e * LANES + first % LANES + lane)
+                self._pull_by(b, lane, e * LANES + first % LANES + lane, away)
         if ti.static(self.overflows):
             for lane in range(b.lanes):
                 for entry in range(self.overflow[first + lane], self.overflow[first + lane + 1]):
-                    self._pull_by(b, lane, entry)
+                    self._pull_by(b, lane, entry, away)
 
     @ti.func
-    def _pull_by(self, b: ti.template(), lane, entry):
+    def _pull_by(self, b: ti.template(), lane, entry, away):
         """Add the force of one spring to a vertex."""
         tiny = ti.cast(1e-30, float)
-        j = self.column[entry]
+        j = away + self.column[entry]
         dx, dy, dz = self.z[0][j] - b.z[0][lane], self.z[1][j] - b.z[1][lane], self.z[2][j] - b.z[2][lane]
         square = dx * dx + dy * dy + dz * dz + tiny
         inverse = 1.0 / ti.sqrt(square)
@@ -164,6 +193,16 @@ class SpringMesh:
         b.f[0][lane] += pull * dx
         b.f[1][lane] += pull * dy
         b.f[2][lane] += pull * dz
+
+    @ti.func
+    def _repel(self, b: ti.template(), block, away):
+        """Add the forces of vertices that are near."""
+        for lane in range(b.lanes):
+            i = block * b.lanes + lane
+            if i < self.count:
+                force = self.grid.force(i, away)
+                for d in ti.static(range(3)):
+                    b.f[d][lane] += force[d]
 
     @ti.func
     def push(self, b: ti.template(), t):
