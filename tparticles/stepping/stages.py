@@ -48,7 +48,7 @@ class Stages:
         cpu = backend.current().is_cpu
         self.width = max(1, system.blocks // (_CHUNKS * backend.current().threads)) if cpu else 1
         self.chunks = -(-system.blocks // self.width)
-        self.chunk_dim = 1 if cpu else None
+        self.grain = backend.GRAIN if cpu else 1  # what a CPU thread gets at least; all but the first are idle
         self.recorder, self.records = record, record is not None
 
     @ti.kernel
@@ -66,10 +66,11 @@ class Stages:
         if ti.static(self.system.repels):
             for _ in range(1):
                 self.system.meet(page)
-        ti.loop_config(block_dim=self.chunk_dim)
-        for chunk in range(self.chunks):
-            for block in range(chunk * self.width, ti.min((chunk + 1) * self.width, self.system.blocks)):
-                self.per_block.take(block, page, passes, n, ti.cast(t, float), h)
+        for task in range(self.chunks * self.grain):
+            if task % self.grain == 0:
+                chunk = task // self.grain
+                for block in range(chunk * self.width, ti.min((chunk + 1) * self.width, self.system.blocks)):
+                    self.per_block.take(block, page, passes, n, ti.cast(t, float), h)
 
     @ti.kernel
     def walk(
