@@ -16,6 +16,7 @@ import stat
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -32,6 +33,9 @@ Precision = Literal["f32", "f64"]
 _DEAD_LOCK_AGE = 60.0  # [s]
 _LAYOUTS = 480  # Taichi has room for 512 trees of fields, and does not look when it is full
 _PROBE_TIMEOUT = 60.0  # [s]
+_QUICK, _THOROUGH = 0, 1  # levels of Taichi's own optimisation
+# A mask for an index that is below 2^30 anyhow: it tells LLVM that index + lane cannot wrap, without which there are no vectors.
+NO_WRAP = (1 << 30) - 1
 GRAIN = 512  # iterations that Taichi gives one CPU thread at least
 _LANES = 16  # particles in a lane block: one AVX-512 register of f32; wider blocks spill (tests/bench/fused.py)
 
@@ -112,6 +116,23 @@ def stop() -> None:
     global _current
     _current = None
     ti.reset()
+
+
+@contextlib.contextmanager
+def thorough() -> Iterator[None]:
+    """Let Taichi optimise the kernels that are launched for the first time within.
+
+    LLVM optimises all there is; what Taichi does before takes longer than all the rest, the more so the longer a kernel is,
+    and mostly gains a few per cent. But loops that add to a field in place need it: until Taichi has merged the loads of a
+    field's address LLVM repeats them after every store, and does not vectorise. The film is drawn twice to three times as
+    fast.
+    """
+    config = ti.lang.impl.current_cfg()
+    config.opt_level = _THOROUGH
+    try:
+        yield
+    finally:
+        config.opt_level = _QUICK
 
 
 def lay_out() -> None:
@@ -196,9 +217,7 @@ def _initialise(backend: Backend) -> None:
             cpu_max_num_threads=backend.threads,
             # Part of the cache key: a changing value would compile every kernel again.
             random_seed=0,
-            # LLVM optimises all there is; what Taichi does before it takes longer than all the rest, the more so the
-            # longer a kernel is, and gains a few per cent at most.
-            opt_level=0,
+            opt_level=_QUICK,
             offline_cache=True,
             offline_cache_file_path=str(cache_folder()),
             enable_fallback=False,

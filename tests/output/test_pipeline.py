@@ -27,9 +27,8 @@ from tparticles.output import (
     pixel_hash,
 )
 
-pytestmark = (
-    pytest.mark.serial
-)  # Ctrl-C reaches the main thread of a process, which a worker of pytest-xdist keeps for itself
+# Ctrl-C reaches the main thread of a process, which a worker of pytest-xdist keeps for itself.
+pytestmark = pytest.mark.serial
 
 
 class Recorder:

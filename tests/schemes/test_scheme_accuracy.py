@@ -122,8 +122,10 @@ def test_every_smaller_step_is_stable_too(scheme):
     for limit, direction in ((scheme.real_limit, -1), (scheme.imaginary_limit, 1j)):
         end = min(limit, 1e3)
         inside = [scheme.stability.amplification(direction * end * k / 500) for k in range(1, 501)]
-        # Up to a double root on the circle, whose modulus is good to the square root of rounding.
-        assert max(inside, default=0) <= 1 + (3e-12 if isinstance(scheme.stability, Stability) else 2e-6)
+        # Up to a double root on the circle, whose modulus is good to the square root of rounding; the terms of R(z) of
+        # order 8 are as large as 6^8 / 8! at its limit.
+        polynomial = 1e-12 if scheme.order < 8 else 2e-12
+        assert max(inside, default=0) <= 1 + (polynomial if isinstance(scheme.stability, Stability) else 2e-6)
 
 
 @pytest.mark.parametrize(

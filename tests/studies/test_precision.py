@@ -84,15 +84,15 @@ def test_the_engine_solves_stiff_sparks_with_few_steps(orbits):
 @pytest.mark.skipif(not peers.has_scipy(), reason="scipy is an extra")
 def test_a_stiff_cloth_is_solved_as_one_mesh_beside_scipy():
     work = WORKS["cloth-1e4"]
-    chosen = [schemes.get(name) for name in ("rk4", "bdf2")]
+    chosen = [schemes.get(name) for name in ("rk4", "tr-bdf2")]
     result = precision.study(
         "cloth-1e4", work, chosen, precisions=["f64"], steps=[48, 96, 192], peer_tolerances=[1e-4], peer_limit=3.0
     )
     assert result.particles == 256 and {p.control for p in result.points if not p.peer} == {"fixed"}
-    _, coarse, fine = (p.largest for p in line(result, "rk4", "fixed"))
-    assert math.log2(coarse / fine) == pytest.approx(4, abs=0.5)
-    errors = [p.largest for p in line(result, "bdf2", "fixed")]
-    assert max(errors[1:]) < 0.25 * errors[0]
+    for scheme in chosen:
+        # The first number of steps is too coarse for the stiffest springs: 96 and 192 show the order.
+        _, coarse, fine = (p.largest for p in line(result, scheme.name, "fixed"))
+        assert math.log2(coarse / fine) == pytest.approx(scheme.order, abs=0.5)
     assert any(p.peer and p.solver == "scipy DOP853 whole" and p.largest < 1e-3 for p in result.points)
     problem, z = work.problem, work.problem.start(0) + 1e-3 * np.random.default_rng(0).standard_normal((6, 256))
     change = np.random.default_rng(1).standard_normal(z.shape) * ~problem.mesh.pinned

@@ -109,8 +109,9 @@ class Film:
                     self._add_pieces(dots, first, piece, min(_LAUNCH, total - piece))
             return
         first = 0
-        while first < count:
-            first += CHUNK * self._add_round(dots, first, count)
+        with backend.thorough():
+            while first < count:
+                first += CHUNK * self._add_round(dots, first, count)
 
     def sums(self) -> NDArray[np.int64]:
         """Return the film in quanta of 2^-24, shape (height, width, 3)."""
@@ -216,7 +217,7 @@ class Film:
             top, block = self.cell(i)
             if top < self.height and (everywhere != 0 or self.holds_light(top, block)):
                 for y in range(top, ti.min(top + self.cell_rows, self.height)):
-                    start = (y * self.stride + block * LANES) & splat.NO_WRAP
+                    start = (y * self.stride + block * LANES) & backend.NO_WRAP
                     for lane in range(ti.min(self.cell_blocks * LANES, self.stride - block * LANES)):
                         self.light[start + lane] = 0
         for tile in self.bands.marks:
@@ -340,7 +341,7 @@ class Film:
                 for y in range(top, ti.min(top + self.cell_rows, self.height)):
                     for block in range(ti.max(first, 0), ti.min(first + self.cell_blocks, (self.width + 7) // 8)):
                         code = ti.Vector([ti.i32(0)] * LANES)
-                        start = (y * self.stride + splat.PAD * 3 + block * LANES) & splat.NO_WRAP
+                        start = (y * self.stride + splat.PAD * 3 + block * LANES) & backend.NO_WRAP
                         for lane in range(LANES):
                             value = ti.cast(self.light[start + lane], ti.f32) * quantum
                             if ti.static(lit):

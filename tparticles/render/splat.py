@@ -19,6 +19,8 @@ Rows of the film are padded by `PAD` pixels on both sides, so that a block of pi
 
 import taichi as ti
 
+from tparticles.backend import NO_WRAP
+
 QUANTUM = 2.0**-24  # film white in one step of the fixed-point film
 SIGMA_MIN = 0.3  # [px]; a narrower dot would fall between the pixel centres
 SIGMA_MAX = 1024.0  # [px]
@@ -39,7 +41,6 @@ TILE = 1 << TILE_BITS  # [px]
 _PANEL = 1.75
 _POINT = 0.25
 _NODE = 0.28867513459481287  # 1 / (2 sqrt 3): distance of the two nodes from the middle of a panel of width 1
-NO_WRAP = (1 << 30) - 1
 
 
 @ti.pyfunc
@@ -128,7 +129,6 @@ def block_row(w, energy):
 @ti.func
 def add_row(film: ti.template(), base, row, weight):
     """Add round(row * weight) to the film from index `base` on, not atomically: the caller must own these pixels."""
-    # The mask changes nothing, but it tells LLVM that start + lane cannot wrap: without it no vector instructions.
     start = base & NO_WRAP
     for lane in range(LANES):
         q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)

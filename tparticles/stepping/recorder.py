@@ -17,7 +17,7 @@ from .block import Block
 from .rows import ENERGIES, Request, Rows, Sink
 
 # What kernels take where nothing is recorded.
-UNRECORDED = (0, 0, np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 3)), np.zeros((1, 12)), np.zeros(1, np.int32))
+UNRECORDED = (0, 0, np.zeros(1, np.float32), np.zeros((1, 3)), np.zeros((1, 12)), np.zeros(1, np.int32))
 _LAYOUT = {"s": 9, "e": 3}  # x, v, a, and the energies of a block
 
 
@@ -59,7 +59,7 @@ class Recorder:
     def claim(self) -> tuple[Any, ...]:
         """Return what kernels take: steps before the next row, its place, the memory, the recorded vertices."""
         rows = self._open()
-        return self.due, rows.filled, rows.state, rows.energy, rows.events, self.chosen
+        return self.due, rows.filled, rows.state.reshape(-1), rows.energy, rows.events, self.chosen
 
     def took(self, t: float, h: float, count: int) -> None:
         """Note that `count` steps of `h` from `t` [s] were taken, `room` at most, with what was claimed."""
@@ -126,8 +126,8 @@ class Recorder:
         """Record the present state with the slope in register `slot` as row `n`, on one thread."""
         total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
         for block in range(self.system.blocks):
-            total += self._block(block, n, slot, state)
-        self._pick(n, slot, state, chosen)
+            total += self._block(block, n, energy.shape[0], slot, state)
+        self._pick(n, energy.shape[0], slot, state, chosen)
         for e in ti.static(range(3)):
             energy[n, e] = total[e]
 
@@ -135,23 +135,23 @@ class Recorder:
         """Do as `row` for the next row, from the host."""
         rows = self._open()
         row = np.empty_like(rows.state[:, :1])  # a kernel takes its arrays to a GPU and back: no more than the row
-        self._record(slot, row, self.parts, self.chosen)
+        self._record(slot, row.reshape(-1), self.parts, self.chosen)
         rows.state[:, rows.filled], rows.energy[rows.filled] = row[:, 0], self.parts.sum(axis=0)
 
     @ti.kernel
     def _record(
         self,
         slot: ti.i32,
-        state: ti.types.ndarray(ndim=4),
+        state: ti.types.ndarray(ndim=1),
         parts: ti.types.ndarray(dtype=ti.f64, ndim=2),
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
     ):
         for block in range(self.system.blocks):
-            total = self._block(block, 0, slot, state)
+            total = self._block(block, 0, 1, slot, state)
             for e in ti.static(range(3)):
                 parts[block, e] = total[e]
         for _ in range(1):
-            self._pick(0, slot, state, chosen)
+            self._pick(0, 1, slot, state, chosen)
 
     @ti.func
     def wants(self, step, due):
@@ -171,7 +171,7 @@ class Recorder:
                     events[at, 9 + d] = self.system.z[3 + d][i]
 
     @ti.func
-    def _block(self, block, n, slot, state: ti.template()):
+    def _block(self, block, n, rows, slot, state: ti.template()):
         """Copy a block of vertices into row `n`; return its energies."""
         lanes = ti.static(self.system.lanes)
         first = block * lanes
@@ -190,10 +190,14 @@ class Recorder:
                 b.e[0][lane] += 0.5 * m * b.s[3 + d][lane] * b.s[3 + d][lane]
                 b.e[2][lane] -= m * ti.static(self.gravity[d]) * b.s[d][lane]
         if ti.static(self.whole):
-            there = ti.min(lanes, self.system.count - first)
             for c in ti.static(range(9)):
-                for lane in range(there):
-                    state[c // 3, n, c % 3, first + lane] = b.s[c][lane]
+                to = ((((c // 3) * rows + n) * 3 + c % 3) * self.system.count + first) & backend.NO_WRAP
+                if first + lanes <= self.system.count:  # a fixed number of lanes is copied twice as fast
+                    for lane in range(lanes):
+                        state[to + lane] = b.s[c][lane]
+                else:
+                    for lane in range(self.system.count - first):
+                        state[to + lane] = b.s[c][lane]
         total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
         for e in ti.static(range(3)):
             part = ti.cast(0.0, float)
@@ -203,11 +207,12 @@ class Recorder:
         return total
 
     @ti.func
-    def _pick(self, n, slot, state: ti.template(), chosen: ti.template()):
+    def _pick(self, n, rows, slot, state: ti.template(), chosen: ti.template()):
         if ti.static(not self.whole):
             for j in range(chosen.shape[0]):
                 i = chosen[j]
                 for d in ti.static(range(3)):
-                    state[0, n, d, j] = self.system.z[d][i]
-                    state[1, n, d, j] = self.system.z[3 + d][i]
-                    state[2, n, d, j] = self.system.k[3 + d][slot * self.system.padded + i]
+                    to, away = (3 * n + d) * chosen.shape[0] + j, 3 * rows * chosen.shape[0]
+                    state[to] = self.system.z[d][i]
+                    state[to + away] = self.system.z[3 + d][i]
+                    state[to + 2 * away] = self.system.k[3 + d][slot * self.system.padded + i]

@@ -111,7 +111,7 @@ class Stages:
         values: ti.types.ndarray(ndim=1),
         due: ti.i32,
         row: ti.i32,
-        state: ti.types.ndarray(ndim=4),
+        state: ti.types.ndarray(ndim=1),
         energy: ti.types.ndarray(dtype=ti.f64, ndim=2),
         met_at: ti.types.ndarray(dtype=ti.f64, ndim=2),
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
