@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import taichi as ti
+from taichi.lang import impl
 
 from . import tracing  # noqa: F401  # it makes Taichi's tracer quick
 from .errors import BackendError, InputError, RunError, unknown
@@ -127,7 +128,7 @@ def thorough() -> Iterator[None]:
     field's address LLVM repeats them after every store, and does not vectorise. The film is drawn twice to three times as
     fast.
     """
-    config = ti.lang.impl.current_cfg()
+    config = impl.current_cfg()
     config.opt_level = _THOROUGH
     try:
         yield

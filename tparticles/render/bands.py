@@ -33,6 +33,7 @@ class Bands:
         self.marks: Any = ti.field(ti.i32)
         self.counts, self.starts, self.taken = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32)
         self.records, self.table, self.pattern = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+        self.column: Any = ti.field(ti.f32)
         tree = ti.FieldsBuilder()
         tree.dense(ti.i, splat.stride(width) * height + splat.LANES).place(self.light)
         tree.dense(ti.i, self.bands * splat.tiles(width)).place(self.marks)
@@ -42,6 +43,7 @@ class Bands:
         tree.dense(ti.i, self.entries * RECORD).place(self.records)
         tree.dense(ti.i, TABLE).place(self.table)
         tree.dense(ti.i, 8 * LANES).place(self.pattern)
+        tree.dense(ti.i, height * LANES).place(self.column)
         tree.finalize()
 
     @ti.func

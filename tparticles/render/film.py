@@ -30,6 +30,7 @@ _RUN = 256  # GPU: dots in a run of the prefix sum, and runs in a batch
 # GPU: pieces in a launch, no more than Taichi starts threads for a loop. Mesa's software Vulkan (22.3, Debian 12) drops
 # atomic additions from the third iteration of a loop on, and ends all loops of a thread after 65535 iterations.
 _LAUNCH = 1 << 16
+_NOTHING, _PICTURE, _COLUMN = 0, 1, 2  # what is behind the light: black, a picture, or one colour a row
 _GRAIN = 512  # Taichi gives one CPU thread at least this many iterations: so many make one coarse task
 
 
@@ -86,8 +87,9 @@ class Film:
         self.light = self.bands.light
         self._black = True
         self._everywhere = False  # light may be in tiles that are not marked
-        self._background: Any = None
-        self._lit = False
+        self._picture: Any = None
+        self._column = np.zeros(1, np.float32)
+        self._behind = _NOTHING
         self._dark: tuple[Any, Any] = None, None  # the picture of the film without light, and what it was made with
 
     def clear(self) -> None:
@@ -136,8 +138,9 @@ class Film:
 
         Raises `InputError` if the shape differs or a value is not finite.
         """
-        self._lit, self._dark = image is not None, (None, None)
+        self._dark = None, None
         if image is None:
+            self._behind = _NOTHING
             return
         values = np.ascontiguousarray(image, dtype=np.float32)
         if values.shape not in ((self.height, self.width, 3), (self.height, 1, 3)) or not np.isfinite(values).all():
@@ -145,9 +148,13 @@ class Film:
                 f"a background of shape {values.shape} must be finite and of the film's shape, "
                 f"{(self.height, self.width, 3)}, or have one column"
             )
-        if self._background is None:
-            self._background = ti.field(ti.f32, shape=self.height * self.stride)
-        self._set_background(self._background, values, values.shape[1])
+        if values.shape[1] == 1:
+            self._column, self._behind = np.tile(values[:, 0], LANES // 3).reshape(-1), _COLUMN
+            return
+        if self._picture is None:
+            self._picture = ti.field(ti.f32, shape=self.height * self.stride)
+        self._set_picture(self._picture, values)
+        self._behind = _PICTURE
 
     def develop(self, table: ArrayLike, film_max: float, *, dither: bool = True) -> NDArray[np.uint8]:
         """Return the 8-bit picture, shape (height, width, 3), a new array.
@@ -191,9 +198,9 @@ class Film:
         everywhere: bool,
     ) -> None:
         """Develop the tiles that hold light, or all, into `out`. A quantum of 0 instead of 2^-24 leaves the light out."""
-        background = self._background if self._lit else self.light
-        pattern = _pattern(dither)
-        self._develop(out.reshape(-1), table, table.size, film_max, pattern, quantum, everywhere, background, self._lit)
+        picture = self._picture if self._behind == _PICTURE else self.light
+        tables = table, table.size, film_max, _pattern(dither), self._column
+        self._develop(out.reshape(-1), *tables, quantum, everywhere, picture, self._behind)
 
     @ti.func
     def cell(self, i):
@@ -310,9 +317,9 @@ class Film:
             self.light[i] = self.light[i] + sums[y, x, c]
 
     @ti.kernel
-    def _set_background(self, background: ti.template(), values: ti.types.ndarray(ti.f32, 3), columns: ti.i32):
+    def _set_picture(self, picture: ti.template(), values: ti.types.ndarray(ti.f32, 3)):
         for y, x, c in ti.ndrange(self.height, self.width, 3):
-            background[y * self.stride + (x + splat.PAD) * 3 + c] = values[y, ti.min(x, columns - 1), c]
+            picture[y * self.stride + (x + splat.PAD) * 3 + c] = values[y, x, c]
 
     @ti.kernel
     def _develop(
@@ -322,16 +329,20 @@ class Film:
         n: ti.i32,
         film_max: ti.f32,
         pattern: ti.types.ndarray(ti.f32, 1),
+        column: ti.types.ndarray(ti.f32, 1),
         quantum: ti.f32,
         everywhere: ti.i32,
-        background: ti.template(),
-        lit: ti.template(),
+        picture: ti.template(),
+        behind: ti.template(),
     ):
         # Kept next to the sums, in their SNode tree, see Bands.
         for i in range(n):
             self.bands.table[i] = table[i]
         for i in range(8 * LANES):
             self.bands.pattern[i] = pattern[i]
+        if ti.static(behind == _COLUMN):
+            for i in range(self.height * LANES):
+                self.bands.column[i] = column[i]
         for i in range(self.threads * self.down_per_thread * self.across):
             top, left = self.cell(i)
             if top < self.height and (everywhere != 0 or self.holds_light(top, left)):
@@ -344,8 +355,10 @@ class Film:
                         start = (y * self.stride + splat.PAD * 3 + block * LANES) & backend.NO_WRAP
                         for lane in range(LANES):
                             value = ti.cast(self.light[start + lane], ti.f32) * quantum
-                            if ti.static(lit):
-                                value += background[start + lane]
+                            if ti.static(behind == _PICTURE):
+                                value += picture[start + lane]
+                            if ti.static(behind == _COLUMN):
+                                value += self.bands.column[y * LANES + lane]
                             s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
                             k = ti.min(ti.cast(s, ti.i32), n - 2)
                             low, high = self.bands.table[k], self.bands.table[k + 1]
