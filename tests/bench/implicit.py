@@ -184,7 +184,7 @@ def settled(size: int, seconds: float) -> None:
 
 
 def against_scipy(size: int, ratio: float, seconds: float) -> None:
-    """Print time and error of SDIRK2 and of scipy's stiff solvers with the sparse Jacobian."""
+    """Print time and error of the midpoint rule, of SDIRK2 and of scipy's stiff solvers with the sparse Jacobian."""
     from scipy.integrate import solve_ivp
 
     mesh, x = sheet(size, ratio)
@@ -202,7 +202,7 @@ def against_scipy(size: int, ratio: float, seconds: float) -> None:
         for _ in range(steps):
             getattr(film, name)(seconds / steps)
         table.add(f"{name}, {steps} steps", error(film.x), f"{time.perf_counter() - start:.2f}")
-    for method, tolerance in (("BDF", 1e-2), ("Radau", 1e-1), ("Radau", 1e-2)):
+    for method, tolerance in (("Radau", 1e-1), ("Radau", 1e-2)):  # BDF at 1e-2 takes more than two minutes
         start = time.perf_counter()
         found = solve_ivp(slope, (0.0, seconds), begin, method, rtol=tolerance, atol=tolerance * 1e-2, jac=jacobian)
         end = found.y[: x.size, -1].reshape(-1, 3)
