@@ -8,7 +8,7 @@ import pytest
 from tparticles.errors import InputError
 from tparticles.stepping import mesh_solver_direct as direct
 from tparticles.stepping.mesh_solver import MeshSolver
-from tparticles.stepping.mesh_solver_matrix import Springs, StepMatrix, UpperPattern, steadied
+from tparticles.stepping.mesh_solver_matrix import Springs, StepMatrix, UpperPattern, positive_part, steadied
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 H = 1 / 24
@@ -222,6 +222,21 @@ def test_compressed_springs_leave_the_matrix_positive_definite(squeeze):
     assert np.linalg.eigvalsh(a).min() > 0.0
     y = np.random.default_rng(1).standard_normal(18)
     np.testing.assert_allclose(upper.pack(matrix @ upper.unpack(y, 8)), a @ y, rtol=1e-9)
+
+
+def test_blocks_without_their_negative_eigenvalues_are_what_lapack_finds():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(400, 3)) * 10.0 ** rng.uniform(-3, 6, (400, 1))
+    values[:80, 1] = values[:80, 0]  # double ones
+    values[80:100] = values[80:100, :1]  # triple ones
+    values[100:140, 2] = 0.0
+    values[140] = 0.0
+    axes = np.linalg.qr(rng.normal(size=(400, 3, 3)))[0]
+    blocks = np.einsum("nak,nk,nbk->abn", axes, values, axes)
+    wanted = np.einsum("nak,nk,nbk->abn", axes, np.maximum(values, 0.0), axes)
+    six = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+    error = np.abs(positive_part(blocks[six]) - wanted[six]).max(axis=0)
+    assert (error <= 1e-7 * np.abs(values).max(axis=1)).all()
 
 
 def test_a_pull_that_compressed_springs_cancel_does_not_hold_a_strip():
