@@ -335,9 +335,13 @@ def test_a_ctrl_c_while_it_waits_aborts(make_frame) -> None:
             time.sleep(0.02)
 
     writer = Interrupts(ordered=True)
-    with pytest.raises(KeyboardInterrupt), Pipeline([writer], queue_size=3) as output:
-        for number in range(1, 4):
-            output.submit(make_frame(number))
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs have it ignored
+    try:
+        with pytest.raises(KeyboardInterrupt), Pipeline([writer], queue_size=3) as output:
+            for number in range(1, 4):
+                output.submit(make_frame(number))
+    finally:
+        signal.signal(signal.SIGINT, previous)
     assert writer.ends == ["abort"]
 
 
