@@ -89,7 +89,7 @@ class MeshSolver:
         `"direct"` (sparse Cholesky), `"cg"`, or `"auto"`: the cheaper one by an estimate from h omega and the size.
     tolerance
         Largest misfit, as a part of the mean rest length. By default 0.1 for a state in f32 (pictures: below a pixel, where a
-        spring is some pixels long) and 1e-8 for one in f64 (studies).
+        spring is some pixels long) and 1e-10 for one in f64 (studies).
 
     `tension` [N] (m) is the guess for the next stage, None at the start. It changes how soon a stage converges, and so its last
     digits: save it with the state for a run that resumes bit for bit, and drop it where springs break.
@@ -160,7 +160,7 @@ class MeshSolver:
         if not stage.finite:
             return SolveResult(np.asarray(zbar_x), np.asarray(zbar_v), 0, 0, np.inf, False, "none")
         method = self._choose(h)
-        tolerance = self.tolerance or (0.1 if np.result_type(zbar_x, zbar_v) == np.float32 else 1e-8)
+        tolerance = self.tolerance or (0.1 if np.result_type(zbar_x, zbar_v) == np.float32 else 1e-10)
         with np.errstate(over="ignore", invalid="ignore"):  # reported as not converged
             if linear:
                 return self._solve_linear(stage, method)
