@@ -32,32 +32,46 @@ class Bands:
         self.light: Any = ti.field(ti.i64)
         self.marks: Any = ti.field(ti.i32)
         self.counts, self.starts, self.taken = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.i32)
-        self.records, self.table, self.pattern = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
-        self.column: Any = ti.field(ti.f32)
+        self.records, self.numbers = ti.field(ti.f32), ti.field(ti.f32)
         tree = ti.FieldsBuilder()
         tree.dense(ti.i, splat.stride(width) * height + splat.LANES).place(self.light)
         tree.dense(ti.i, self.bands * splat.tiles(width)).place(self.marks)
-        tree.dense(ti.ij, (CHUNKS, self.bands)).place(self.counts)
+        tree.dense(ti.ij, (CHUNKS, self.bands + 1)).place(self.counts)  # the last column is a chunk's total
         tree.dense(ti.i, self.bands + 1).place(self.starts)
         tree.dense(ti.i, 1).place(self.taken)
         tree.dense(ti.i, self.entries * RECORD).place(self.records)
-        tree.dense(ti.i, TABLE).place(self.table)
-        tree.dense(ti.i, 8 * LANES).place(self.pattern)
-        tree.dense(ti.i, height * LANES).place(self.column)
+        tree.dense(ti.i, (8 + height) * LANES + TABLE).place(self.numbers)  # dither pattern, display table, background
         tree.finalize()
+
+    @ti.func
+    def clear(self, chunk):
+        """Begin the histogram of a chunk."""
+        for band in range(self.bands + 1):
+            self.counts[chunk, band] = 0
+
+    @ti.func
+    def count(self, chunk, first, last):
+        """Count a dot in bands first..last, as differences: one more from `first` on, one less after `last`."""
+        self.counts[chunk, first] = self.counts[chunk, first] + 1
+        self.counts[chunk, last + 1] = self.counts[chunk, last + 1] - 1
+
+    @ti.func
+    def sum_up(self, chunk):
+        """Turn the differences of a chunk into counts, and put their total behind them."""
+        here, total = 0, 0
+        for band in range(self.bands):
+            here += self.counts[chunk, band]
+            self.counts[chunk, band] = here
+            total += here
+        self.counts[chunk, self.bands] = total
 
     @ti.func
     def fit(self, chunks):
         """Turn counts into positions in the list, for as many chunks as it can hold."""
-        total, taken, room = 0, 0, True
-        for chunk in range(chunks):
-            needed = 0
-            for band in range(self.bands):
-                needed += self.counts[chunk, band]
-            room = room and total + needed <= self.entries
-            if room:
-                total += needed
-                taken = chunk + 1
+        total, taken = 0, 0
+        while taken < chunks and total + self.counts[taken, self.bands] <= self.entries:
+            total += self.counts[taken, self.bands]
+            taken += 1
         position = 0
         for band in range(self.bands):
             self.starts[band] = position

@@ -199,8 +199,10 @@ class Film:
     ) -> None:
         """Develop the tiles that hold light, or all, into `out`. A quantum of 0 instead of 2^-24 leaves the light out."""
         picture = self._picture if self._behind == _PICTURE else self.light
-        tables = table, table.size, film_max, _pattern(dither), self._column
-        self._develop(out.reshape(-1), *tables, quantum, everywhere, picture, self._behind)
+        numbers = np.concatenate((_pattern(dither), table, self._column))
+        self._develop(
+            out.reshape(-1), numbers, numbers.size, table.size, film_max, quantum, everywhere, picture, self._behind
+        )
 
     @ti.func
     def cell(self, i):
@@ -272,13 +274,12 @@ class Film:
         for task in range(chunks * _GRAIN):
             if task % _GRAIN == 0:
                 chunk = task // _GRAIN
-                for band in range(self.bands.bands):
-                    self.bands.counts[chunk, band] = 0
+                self.bands.clear(chunk)
                 for i in range(start + chunk * CHUNK, ti.min(start + (chunk + 1) * CHUNK, count)):
                     first, last = dots.rows(i, self.width, self.height)
                     if first <= last:
-                        for band in range(first >> splat.BAND_BITS, (last >> splat.BAND_BITS) + 1):
-                            self.bands.counts[chunk, band] = self.bands.counts[chunk, band] + 1
+                        self.bands.count(chunk, first >> splat.BAND_BITS, last >> splat.BAND_BITS)
+                self.bands.sum_up(chunk)
         for _ in range(1):
             self.bands.fit(chunks)
         for task in range(self.bands.taken[0] * _GRAIN):
@@ -325,24 +326,18 @@ class Film:
     def _develop(
         self,
         out: ti.types.ndarray(ti.u8, 1),
-        table: ti.types.ndarray(ti.f32, 1),
+        numbers: ti.types.ndarray(ti.f32, 1),
+        size: ti.i32,
         n: ti.i32,
         film_max: ti.f32,
-        pattern: ti.types.ndarray(ti.f32, 1),
-        column: ti.types.ndarray(ti.f32, 1),
         quantum: ti.f32,
         everywhere: ti.i32,
         picture: ti.template(),
         behind: ti.template(),
     ):
-        # Kept next to the sums, in their SNode tree, see Bands.
-        for i in range(n):
-            self.bands.table[i] = table[i]
-        for i in range(8 * LANES):
-            self.bands.pattern[i] = pattern[i]
-        if ti.static(behind == _COLUMN):
-            for i in range(self.height * LANES):
-                self.bands.column[i] = column[i]
+        # The dither pattern, n table entries and the column, kept next to the sums, in their SNode tree, see Bands.
+        for i in range(size):
+            self.bands.numbers[i] = numbers[i]
         for i in range(self.threads * self.down_per_thread * self.across):
             top, left = self.cell(i)
             if top < self.height and (everywhere != 0 or self.holds_light(top, left)):
@@ -358,12 +353,12 @@ class Film:
                             if ti.static(behind == _PICTURE):
                                 value += picture[start + lane]
                             if ti.static(behind == _COLUMN):
-                                value += self.bands.column[y * LANES + lane]
+                                value += self.bands.numbers[8 * LANES + n + y * LANES + lane]
                             s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
                             k = ti.min(ti.cast(s, ti.i32), n - 2)
-                            low, high = self.bands.table[k], self.bands.table[k + 1]
+                            low, high = self.bands.numbers[8 * LANES + k], self.bands.numbers[8 * LANES + k + 1]
                             level = low + (s - ti.cast(k, ti.f32)) * (high - low)
-                            level += self.bands.pattern[(y & 7) * LANES + lane] + ti.f32(0.5)
+                            level += self.bands.numbers[(y & 7) * LANES + lane] + ti.f32(0.5)
                             code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
                         pixel = (y * self.width + block * 8) * 3
                         for lane in range(ti.min(LANES, (self.width - block * 8) * 3)):

@@ -112,12 +112,15 @@ def gauss(a, d, k):
 
 
 @ti.func
-def gauss_sum(a, d, R):
-    """Return the sum of `gauss` over k = -R..R."""
-    total = ti.f32(1.0)
-    for k in range(1, R + 1):
-        total += gauss(a, d, k) + gauss(a, d, -k)
-    return total
+def gauss_sums(a, dx, dy, R):
+    """Return the product of the sums of `gauss` over k = -R..R for two distances, WIDE terms at a time."""
+    x, y = ti.Vector([ti.f32(0.0)] * WIDE), ti.Vector([ti.f32(0.0)] * WIDE)
+    for i in range((R + WIDE - 1) // WIDE):
+        for lane in range(WIDE):
+            k = WIDE * i + lane + 1
+            x[lane] += ti.select(k <= R, gauss(a, dx, k) + gauss(a, dx, -k), ti.f32(0.0))
+            y[lane] += ti.select(k <= R, gauss(a, dy, k) + gauss(a, dy, -k), ti.f32(0.0))
+    return (ti.f32(1.0) + x.sum()) * (ti.f32(1.0) + y.sum())
 
 
 @ti.func
@@ -164,11 +167,11 @@ def across_block(a, d, k0, R):
 
 
 @ti.func
-def mark(marks: ti.template(), width, top, x, R):
-    """Mark the tiles of pixels x-R..x+R in the band that begins at row `top`."""
-    first, last = ti.max(x - R + PAD, 0) >> TILE_BITS, ti.min(x + R + PAD, width + 2 * PAD - 1) >> TILE_BITS
-    for tile in range(first, last + 1):
-        marks[(top >> BAND_BITS) * tiles(width) + tile] = 1
+def mark(marks: ti.template(), width, top, first, last):
+    """Mark the tiles of pixels `first` and `last`, padding included, in the band that begins at row `top`."""
+    row = (top >> BAND_BITS) * tiles(width)
+    marks[row + ((first + PAD) >> TILE_BITS)] = 1
+    marks[row + ((last + PAD) >> TILE_BITS)] = 1
 
 
 @ti.func
@@ -182,8 +185,8 @@ def draw_dot(film: ti.template(), marks: ti.template(), width, top, bottom, u, v
     a = ti.f32(0.5) / (sigma * sigma)
     first, last = ti.max(top, y - R), ti.min(bottom, y + R + 1)
     if first < last and x + R >= 0 and x - R < width:
-        mark(marks, width, top, x, R)
         if R == 2:
+            mark(marks, width, top, x - 2, x + 2)
             q = exponential(ti.f32(-2.0) * a)
             down = five_weights(a, q, dy)
             row = block_row(five_weights(a, q, dx), energy)
@@ -191,7 +194,7 @@ def draw_dot(film: ti.template(), marks: ti.template(), width, top, bottom, u, v
             for j in range(first, last):
                 add_row(film, j * stride(width) + base, row, down[j - y + 2])
         else:
-            scaled = energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R))
+            scaled = energy / gauss_sums(a, dx, dy, R)
             # The weights of the rows are worked out once, all together, and not again in each block.
             down = ti.Vector([ti.f32(0.0)] * BAND)
             for j in range(BAND):
@@ -199,6 +202,7 @@ def draw_dot(film: ti.template(), marks: ti.template(), width, top, bottom, u, v
             # Blocks k0..k0+7 with k0 = 8 i - R; those that touch a pixel 0 <= x + k < width.
             for i in range(ti.max(0, R - x) // WIDE, ti.min(2 * R, width - 1 - x + R) // WIDE + 1):
                 k0 = WIDE * i - R
+                mark(marks, width, top, x + k0, x + k0 + WIDE - 1)
                 row = wide_row(a, dx, k0, R, scaled)
                 base = first * stride(width) + (x + k0 + PAD) * 3
                 for j in range(last - first):
@@ -227,7 +231,7 @@ def draw_piece(film: ti.template(), size, piece, u, v, sigma, energy):
             row = block_row(five_weights(a, q, dx), energy)
             weight = five_weights(a, q, dy)[j + 2]
         else:
-            row = block_row(across_block(a, dx, k0, R), energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R)))
+            row = block_row(across_block(a, dx, k0, R), energy / gauss_sums(a, dx, dy, R))
             weight = gauss(a, dy, j)
         base = ((y + j) * (size[0] + 2 * PAD) + x + k0 + PAD) * 3
         for lane in ti.static(range(3 * BLOCK)):
