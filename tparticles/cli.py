@@ -6,6 +6,7 @@ to stdout, progress and errors to stderr; with --json, stdout holds one JSON doc
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import json
@@ -30,7 +31,7 @@ from .render_command import render
 from .studies.commands import study
 
 INTERRUPTED = 130
-_MANY_OBJECTS = 100_000
+_MANY_OBJECTS = 300_000
 
 
 class _InterruptError(TparticlesError):
@@ -51,10 +52,15 @@ class _Commands(click.Group):
             raise _InterruptError from None
 
 
+def collect_seldom() -> None:
+    """Imports and kernels make many objects that stay: the collector would look at them again and again, and find nothing."""
+    gc.set_threshold(_MANY_OBJECTS)
+    atexit.register(gc.freeze)  # nor when the process ends
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit."""
-    # Imports and kernels make many objects that stay: the collector would look at them again and again, and find nothing.
-    gc.set_threshold(_MANY_OBJECTS)
+    collect_seldom()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     signals: list[int] = []
     try:

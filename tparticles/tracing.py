@@ -15,6 +15,7 @@ import functools
 import inspect
 import linecache
 import operator
+import platform
 import sys
 import textwrap
 import traceback
@@ -36,8 +37,9 @@ _version_check: Any = ModuleType("taichi._version_check")
 _version_check.start_version_check_thread = lambda: None
 sys.modules.setdefault(_version_check.__name__, _version_check)
 
-_getframeinfo = inspect.getframeinfo
+_getframeinfo, _platform = inspect.getframeinfo, platform.platform
 inspect.getframeinfo = _frame_info  # type: ignore[assignment]
+platform.platform = platform.system  # all that is asked for is the system; the whole name takes a process
 try:
     import taichi
     from taichi._lib import core
@@ -48,7 +50,7 @@ try:
     from taichi.lang.expr import Expr
     from taichi.lang.field import Field
 finally:
-    inspect.getframeinfo = _getframeinfo
+    inspect.getframeinfo, platform.platform = _getframeinfo, _platform
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:

@@ -7,7 +7,6 @@ ready beside the films that are rendered. The end of stdin means that whoever as
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import os
 import signal
@@ -17,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..cli import INTERRUPTED, _explain, _interrupts
+from ..cli import INTERRUPTED, _explain, _interrupts, collect_seldom
 from ..command_options import stdout_kept
 from ..errors import InputError
 
@@ -102,7 +101,7 @@ def _peak() -> int:
 
 def main() -> NoReturn:
     """Take one order, tell how it ends, and leave with its exit code."""
-    gc.set_threshold(100_000)
+    collect_seldom()
     channel, signals = _Channel(), list[int]()
     code, end = 0, {}
     try:

@@ -120,9 +120,11 @@ class CurlNoise(Flow):
         return self.octaves
 
     def derived(self) -> dict[str, np.ndarray | bool]:
-        """Return what each octave needs: lattice frequency [1/m], potential [m^2/s], half periods per second, seed."""
+        """Return what each octave needs: lattice frequency [1/m], potential [m^2/s], half periods per second, seed, drift, ramp."""
         o = np.arange(self.octaves)
         frequency = self.lacunarity**o / self.length
+        shared = {"drift_x": self.drift[0], "drift_y": self.drift[1], "drift_z": self.drift[2]}
+        shared |= {"height": self.ramp, "floor": self.ground}
         return {
             "frequency": frequency,
             "strength": self.speed * self.gain**o / frequency / self._rms(),
@@ -131,19 +133,24 @@ class CurlNoise(Flow):
             "octave_seed": np.array([stream_key(self.seed, f"octave {i}") >> 8 for i in o], float),
             "turning": self.period > 0,
             "ramped": self.ramp > 0,
+            **{name: np.full(self.octaves, value, float) for name, value in shared.items()},
         }
+
+    def joined(self, other: object) -> Flow | None:
+        """Return one law for this noise and another, None if it is none or if but one of them swings or has a ramp."""
+        return _joined(self.derived(), other)
 
     @ti.func
     def velocity_pass(self, o, t, x):
         """Return the velocity [m/s] of octave `o`."""
         f = self.frequency[o]
-        p = (x - t * self.drift) * f
+        p = (x - t * ti.Vector([self.drift_x[o], self.drift_y[o], self.drift_z[o]])) * f
         psi, curl = potential(p, ti.cast(self.octave_seed[o], ti.u32), t * self.rate[o], self.turning, self.ramped)
         u = (self.strength[o] * f) * curl
         if ti.static(self.ramped):
             # curl(s psi) = s curl psi + grad s x psi, s = smoothstep((z - ground) / ramp)
-            s = ti.math.clamp((x[2] - self.ground) / self.ramp, 0.0, 1.0)
-            ds = 30.0 * s * s * (s * (s - 2.0) + 1.0) / self.ramp * self.strength[o]
+            s = ti.math.clamp((x[2] - self.floor[o]) / self.height[o], 0.0, 1.0)
+            ds = 30.0 * s * s * (s * (s - 2.0) + 1.0) / self.height[o] * self.strength[o]
             s = s * s * s * (s * (s * 6.0 - 15.0) + 10.0)
             u = s * u + ds * ti.Vector([-psi[1], psi[0], 0.0])
         return u
@@ -166,3 +173,28 @@ class CurlNoise(Flow):
 
     def _rms(self) -> float:
         return _RMS_TURNING if self.period else _RMS
+
+
+class _Noises(Flow):
+    """The octaves of several noises: a kernel has the code of an octave once. Its attributes are what `derived` returns."""
+
+    velocity_pass = CurlNoise.velocity_pass
+
+    def __init__(self, numbers: dict[str, np.ndarray | bool]):
+        vars(self).update(numbers)
+
+    @property
+    def passes(self) -> int:
+        """One pass an octave."""
+        return len(vars(self)["frequency"])
+
+    def joined(self, other: object) -> Flow | None:
+        """Return one law for these noises and another, see `CurlNoise.joined`."""
+        return _joined(vars(self), other)
+
+
+def _joined(numbers: dict[str, np.ndarray | bool], other: object) -> _Noises | None:
+    more = other.derived() if isinstance(other, CurlNoise) else {}
+    if any(more.get(flag) != numbers[flag] for flag in ("turning", "ramped")):
+        return None
+    return _Noises({name: np.append(numbers[name], v) if isinstance(v, np.ndarray) else v for name, v in more.items()})

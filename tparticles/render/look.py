@@ -22,6 +22,7 @@ Tone = Literal["linear", "reinhard", "filmic"]
 
 # Linear sRGB at which IEC 61966-2-1 changes from the straight piece to the power.
 _KNEE = 0.0031308
+_POINTS = 257  # that a search looks at in one go: NumPy takes longer for its calls than for the numbers
 # The table ends where the code value does: 255, less what no rounding or dither can show.
 _NEARLY_FULL = 254.999
 
@@ -89,13 +90,12 @@ def _filmic(film: Array, white: float) -> Array:
 _CURVES: dict[str, Callable[[Array, float], Array]] = {"linear": _linear, "reinhard": _reinhard, "filmic": _filmic}
 
 
-def _smallest(reached: Callable[[float], bool], low: float, high: float) -> float:
+def _smallest(reached: Callable[[Array], Array], low: float, high: float) -> float:
     """Return the smallest float in (low, high] for which the monotonic `reached` is true; it must be true at `high`."""
-    while low < (middle := 0.5 * (low + high)) < high:
-        if reached(middle):
-            high = middle
-        else:
-            low = middle
+    while low < 0.5 * (low + high) < high:
+        points = np.linspace(low, high, _POINTS)
+        first = int(np.argmax(np.append(reached(points[1:-1]), True))) + 1
+        low, high = float(points[first - 1]), float(points[first])
     return high
 
 
@@ -160,7 +160,7 @@ class Look:
         """
         if n < 2:
             raise InputError(f"n = {n} is not allowed (at least 2 table entries)")
-        film_max = _smallest(lambda film: bool(255.0 * self.encode(film) >= _NEARLY_FULL), 0.0, self.clip)
+        film_max = _smallest(lambda film: 255.0 * self.encode(film) >= _NEARLY_FULL, 0.0, self.clip)
         return 255.0 * self.encode(film_max * np.linspace(0.0, 1.0, n) ** 2), film_max
 
     def threshold(self, *, steps: float = 0.5) -> float:
@@ -173,7 +173,7 @@ class Look:
         """
         if not 0.0 < steps < 255.0:
             raise InputError(f"steps = {steps:g} is not allowed (above 0 and below 255)")
-        return _smallest(lambda film: bool(255.0 * self.encode(film) >= steps), 0.0, self.clip)
+        return _smallest(lambda film: 255.0 * self.encode(film) >= steps, 0.0, self.clip)
 
     def coldest_visible(self, table: BlackbodyTable, *, steps: float = 0.5) -> float:
         """Return the temperature [K] below which a black body that fills a pixel stays below `threshold(steps=steps)`.
@@ -185,8 +185,8 @@ class Look:
         """
         needed = self.threshold(steps=steps) / self.exposure
 
-        def shows(T: float) -> bool:
-            return bool(np.max(table.lookup(T)) >= needed)
+        def shows(T: ArrayLike) -> Array:
+            return np.max(table.lookup(T), axis=-1) >= needed
 
         if shows(table.T_MIN):
             return table.T_MIN

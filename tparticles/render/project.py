@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from .. import backend
 from .appearance import Appearance, Glow
 from .blackbody import BlackbodyTable
 from .dots import Dots
@@ -37,7 +38,8 @@ class Projector:
     meanwhile has its energy in proportion.
 
     Arguments:
-        view: reads particles: `position(i)`, `velocity(i)`, `temperature(i, t)`, `size(i)`, `age(i, t)`, `lifetime(i)`.
+        view: reads particles, which lie in `columns`: `position(i)`, `velocity(i)`, `temperature(i, t)`, `size(i)`,
+            `age(i, t)`, `lifetime(i)`.
         appearance, look: what they look like.
     """
 
@@ -48,6 +50,7 @@ class Projector:
         if isinstance(appearance, Glow):
             self.frost = view.parameters.table(frost_table(look, appearance.emissivity))
         self.fades = appearance.fade_in > 0 or appearance.fade_out > 0
+        self.serial = backend.current().in_one_thread(view.columns.padded)
 
     @ti.kernel
     def project(
@@ -62,6 +65,7 @@ class Projector:
     ):
         """Write particles first..first+count-1 at time `t` [s] into dots 0..count-1; `shutter` [s] before t it opened."""
         ti.static(self.view.parameters.read_from(values))
+        ti.loop_config(serialize=ti.static(self.serial))
         for j in range(count):
             i = first + j
             age = ti.cast(self.view.age(i, t), ti.f32)

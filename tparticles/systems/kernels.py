@@ -128,6 +128,7 @@ class Compaction:
         self.in_runs = columns.padded > FEW
         if self.in_place:
             self.shares = _shares(columns.all(), running.threads if self.in_runs else 1)
+            self.grain = _GRAIN if self.in_runs else 1
         else:
             self.offsets = ti.field(ti.i32, columns.padded // _CHUNK + 2)
             self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}
@@ -145,10 +146,11 @@ class Compaction:
     def _squeeze(self, count: ti.i32) -> ti.i32:
         survivors = 0
         # A range of 512 is the least that Taichi gives a thread of its own.
-        for task in range(ti.static(len(self.shares) * _GRAIN)):
-            if task % _GRAIN == 0:
+        ti.loop_config(serialize=ti.static(not self.in_runs))
+        for task in range(ti.static(len(self.shares) * self.grain)):
+            if task % self.grain == 0:
                 for share, fields in ti.static(enumerate(self.shares)):
-                    if task // _GRAIN == share:
+                    if task // self.grain == share:
                         to = self._squeeze_columns(count, fields)
                         if ti.static(share == 0):
                             survivors = to

@@ -7,6 +7,7 @@ loop over passes stays outside the lane loop, where it costs neither vectorisati
 
 # pyright: reportInvalidTypeForm=false
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,8 +66,22 @@ def flow(law: Any, parameters: Any, first: int) -> list[Term]:
             passes=int(getattr(term, "passes", 1)),
             resets_flow=first == FLOW_REGISTER and k == 0,
         )
-        for k, term in enumerate(flow_terms(law))
+        for k, term in enumerate(_joined(flow_terms(law)))
     ]
+
+
+def _joined(laws: Sequence[Any]) -> list[Any]:
+    """Return the summands, each joined to the first that takes it: what is compiled twice takes twice as long."""
+    found: list[Any] = []
+    for law in laws:
+        for i, before in enumerate(found):
+            both = before.joined(law) if hasattr(before, "joined") else None
+            if both is not None:
+                found[i] = both
+                break
+        else:
+            found.append(law)
+    return found
 
 
 def motion() -> Term:
