@@ -61,6 +61,34 @@ def whole():
     return film()
 
 
+def test_a_preroll_in_strides_ends_as_frame_by_frame(whole, monkeypatch):
+    """The pre-roll takes frames of a sixth of a second together: the same births and deaths, and the same paths up to rounding."""
+    assert (SPARKS.first_frame, SPARKS.stride, SPARKS.longest_advance) == (-12, 4, pytest.approx(1 / 6))
+    monkeypatch.setattr(tp.Scene, "stride", 1)
+    slow = film([1])[0][2]["sparks"]
+    quick = whole[0][2]["sparks"]
+    np.testing.assert_array_equal(quick["id"], slow["id"])
+    np.testing.assert_array_equal(quick["birth"], slow["birth"])
+    np.testing.assert_allclose(quick["x"], slow["x"], atol=2e-5)
+    np.testing.assert_allclose(quick["T"], slow["T"], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "stride"),
+    [
+        ({}, 4),
+        ({"fps": 25}, 4),
+        ({"fps": "30000/1001"}, 4),
+        ({"fps": 60}, 10),
+        ({"fps": 3}, 1),
+        ({"steps": tp.ErrorControl(rtol=1e-3, atol=1e-3), "scheme": "bogacki-shampine"}, 1),
+    ],
+)
+def test_what_a_stride_is(changes, stride):
+    """A sixth of a second; one frame where steps are chosen by it."""
+    assert dataclasses.replace(SPARKS, **changes).stride == stride
+
+
 def test_frames_states_and_reports(whole):
     assert [f[0] for f in whole] == list(range(1, 13))
     alive = 0

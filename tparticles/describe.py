@@ -33,12 +33,12 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
     script = library.load(scene)
     values = script.values(settings)
     built = script.build(quality=quality, settings=settings)
-    frame, end = float(1 / built.fps), built.duration
+    end = built.duration
     groups = []
     for group in built.particles:
         names = group.attributes(streaks=built.shutter > 0)
         births = schedules(group.name, group.emitters, seed=built.seed, end=end)
-        capacity = group.derived_capacity(births, look=built.look, frame=frame)
+        capacity = group.derived_capacity(births, look=built.look, frame=built.longest_advance)
         carried = [ATTRIBUTES[n] for n in names]
         carried += memory(built.running_scheme, group.components, adaptive=built.adaptive)
         each = sum(attribute.bytes(precision) for attribute in carried)

@@ -29,6 +29,7 @@ from .stepping.control import Clamp, Controller, ErrorControl, Fixed, PixelToler
 from .systems.motion import System
 from .systems.view import Constants
 
+_UNSEEN = Fraction(1, 6)  # [s]
 _MOST_FRAMES = 10_000_000
 _FINEST_RATE = 1_001_000  # of numerator and denominator: what ffmpeg keeps exact
 
@@ -130,7 +131,7 @@ class Group:
         return 3 * len(self.system.state) + (self.cooling is not None and self.cooling.integrated)
 
     def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
-        """Return how many particles can be alive at once, if deaths wait for the end of a frame [s]."""
+        """Return how many particles can be alive at once, if the dead wait for so long, a frame [s], to be removed."""
         if self.capacity is not None:
             return self.capacity
         life = self.longest_life(look)
@@ -203,6 +204,25 @@ class Scene:
     def frame_count(self) -> int:
         """How many frames the film has; frame k, from 1, shows the time k / fps."""
         return math.floor(Fraction(self.duration).limit_denominator(10**6) * self.fps)
+
+    @property
+    def first_frame(self) -> int:
+        """The frame before which nothing is born, 0 or below."""
+        first = min([0.0, *(e.first_time for group in self.particles for e in group.emitters)])
+        return min(0, math.floor(Fraction(first).limit_denominator(10**6) * self.fps))
+
+    @property
+    def stride(self) -> int:
+        """How many frames of the pre-roll are advanced at once, as nobody sees them: those of a sixth of a second.
+
+        One by one where their steps go by frames: those of meshes, and of particles that choose their own.
+        """
+        return 1 if self.meshes or self.adaptive else max(1, math.floor(_UNSEEN * self.fps))
+
+    @property
+    def longest_advance(self) -> float:
+        """The longest time [s] that the dead may wait to be removed."""
+        return float(min(max(1, -self.first_frame), self.stride) / self.fps)
 
     @property
     def adaptive(self) -> bool:

@@ -7,7 +7,6 @@ frame is off by accumulated rounding.
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -57,11 +56,10 @@ class _Plan:
     @classmethod
     def of(cls, spec: Group, scene: Scene, share: Share) -> _Plan:
         """Plan the `share` of a group of `scene`. Births are made up to the film's duration, whatever the frame rate."""
-        frame = float(1 / scene.fps)
         births = schedules(spec.name, spec.emitters, seed=scene.seed, end=scene.duration)
         bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
         scheme = scene.running_scheme
-        capacity = spec.derived_capacity(births, look=scene.look, frame=frame)
+        capacity = spec.derived_capacity(births, look=scene.look, frame=scene.longest_advance)
         consecutive = capacity if spec.capacity is None else sum(schedule.total for schedule in births)
         return cls(
             spec,
@@ -70,7 +68,9 @@ class _Plan:
             spec.attributes(streaks=scene.shutter > 0),
             memory(scheme, spec.components, adaptive=scene.adaptive),
             scheme,
-            frame_step(scene.steps, scheme=scheme, bound=bound, frame=frame, damping=spec.system.damping),
+            frame_step(
+                scene.steps, scheme=scheme, bound=bound, frame=float(1 / scene.fps), damping=spec.system.damping
+            ),
         )
 
 
@@ -217,8 +217,7 @@ class Simulation:
                 )
             )
         self.table, self.film_max = scene.look.display_table()
-        first = min([0.0, *(e.first_time for g in scene.particles for e in g.emitters)])
-        self._frame = min(0, math.floor(Fraction(first).limit_denominator(10**6) * scene.fps))
+        self._frame = scene.first_frame
         self._report: FrameReport | None = None  # what has been counted towards the next frame that is asked for
 
     def finished(self, number: int) -> None:
@@ -264,10 +263,11 @@ class Simulation:
         report = self._report = self._report or FrameReport(number, 0.0)
         report.frame, report.time = number, self.time(number)
         while self._frame < number:
-            t0, t1 = self.time(self._frame), self.time(self._frame + 1)
+            end = min(0, self._frame + self.scene.stride) if self._frame < 0 else self._frame + 1
+            t0, t1 = self.time(self._frame), self.time(end)
             for group in self.groups:
                 self._advance(group, report, t0, t1)
-            self._frame += 1
+            self._frame = end
             if self._frame < number:
                 after(self._frame)
         report.alive = sum(group.alive for group in self.groups)

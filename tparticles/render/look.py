@@ -90,7 +90,7 @@ def _filmic(film: Array, white: float) -> Array:
 _CURVES: dict[str, Callable[[Array, float], Array]] = {"linear": _linear, "reinhard": _reinhard, "filmic": _filmic}
 
 
-def _smallest(reached: Callable[[Array], Array], low: float, high: float) -> float:
+def _smallest(reached: Callable[[Array], NDArray[np.bool_]], low: float, high: float) -> float:
     """Return the smallest float in (low, high] for which the monotonic `reached` is true; it must be true at `high`."""
     while low < 0.5 * (low + high) < high:
         points = np.linspace(low, high, _POINTS)
@@ -185,7 +185,7 @@ class Look:
         """
         needed = self.threshold(steps=steps) / self.exposure
 
-        def shows(T: ArrayLike) -> Array:
+        def shows(T: ArrayLike) -> NDArray[np.bool_]:
             return np.max(table.lookup(T), axis=-1) >= needed
 
         if shows(table.T_MIN):
