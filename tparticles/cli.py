@@ -6,7 +6,6 @@ to stdout, progress and errors to stderr; with --json, stdout holds one JSON doc
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import gc
 import json
@@ -55,7 +54,6 @@ class _Commands(click.Group):
 def collect_seldom() -> None:
     """Imports and kernels make many objects that stay: the collector would look at them again and again, and find nothing."""
     gc.set_threshold(_MANY_OBJECTS)
-    atexit.register(gc.freeze)  # nor when the process ends
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
