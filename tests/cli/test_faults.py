@@ -143,3 +143,27 @@ def test_a_bug_keeps_its_traceback_and_is_json_too(run: Run, monkeypatch) -> Non
         "exit_code": 1,
     }
     assert "Traceback" in result.err and result.err.splitlines()[-1].startswith("error: internal error")
+
+
+@pytest.mark.parametrize("ends", ["by itself", "interrupted"])
+def test_a_process_leaves_its_kernels_to_the_next(scene, tmp_path, ends):
+    """However it ends: compiling them is most of what a first film takes."""
+    arguments = (
+        "render",
+        scene(duration="2.0"),
+        "--out",
+        tmp_path / "out",
+        "--size",
+        "64x36",
+        "--no-mp4",
+        "--arch",
+        "cpu",
+    )
+    process = subprocess.Popen(command(*arguments), env=os.environ | {"TPARTICLES_CACHE": str(tmp_path / "cache")})
+    if ends == "interrupted":
+        frame = tmp_path / "out" / "frames" / "000001.png"
+        while not frame.exists() and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+    assert process.wait(120) in (0, 130)
+    assert len(list((tmp_path / "cache").rglob("*.tic"))) > 5

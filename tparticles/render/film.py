@@ -171,17 +171,21 @@ class Film:
             raise InputError(
                 f"table of shape {values.shape}, film_max = {film_max}: shape (2..{TABLE},) and above 0 are needed"
             )
-        if self._everywhere:
-            out = np.empty((self.height, self.width, 3), dtype=np.uint8)
-        else:
-            out = self._developed_dark(values, film_max, dither).copy()
-        self._expose(out, values, film_max, dither, quantum=splat.QUANTUM, everywhere=self._everywhere)
+        dark = None if self._everywhere else self._developed_dark(values, film_max, dither)
+        out = np.empty((self.height, self.width, 3), dtype=np.uint8) if dark is None else dark.copy()
+        self._expose(out, values, film_max, dither, quantum=splat.QUANTUM, everywhere=dark is None)
         return out
 
-    def _developed_dark(self, table: NDArray[np.float32], film_max: float, dither: bool) -> NDArray[np.uint8]:
-        """Return the picture of a film without light, kept until an argument or the background changes."""
+    def _developed_dark(self, table: NDArray[np.float32], film_max: float, dither: bool) -> NDArray[np.uint8] | None:
+        """Return the picture of a film without light, kept until an argument or the background changes.
+
+        None when it is first asked for: a single picture is developed sooner without.
+        """
         wanted = table.tobytes(), film_max, dither
         if self._dark[1] != wanted:
+            self._dark = None, wanted
+            return None
+        if self._dark[0] is None:
             out = np.empty((self.height, self.width, 3), dtype=np.uint8)
             self._expose(out, table, film_max, dither, quantum=0.0, everywhere=True)
             self._dark = out, wanted
