@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageFile
 from PIL.PngImagePlugin import PngImageFile, PngInfo
 
 from ..errors import RunError
@@ -20,6 +20,10 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _END = struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND"))
 # White and primaries of sRGB in 1/100000, for readers that know cHRM but not sRGB (PNG specification, 11.3.2).
 _CHROMATICITIES = (31270, 32900, 64000, 33000, 30000, 60000, 15000, 6000)
+
+
+# Pillow takes a file in pieces of this size, and Python's lock between them, which the simulation holds most of the time.
+ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, 1 << 22)
 
 
 class PngSequence:
