@@ -21,8 +21,8 @@ from PIL import Image
 from tparticles.output import pixel_hash, read_manifest
 from tparticles.output.ffmpeg import find_ffmpeg
 
-KILLS = 4
-FRAMES = 120
+KILLS = 50
+FRAMES = 960
 # A multistep scheme and short lives: there is a history to be lost, and slots are used again.
 PARTS = {
     "duration": f"{FRAMES / 24}",
@@ -69,7 +69,7 @@ def check_same(folder: Path, whole: Path) -> None:
 def render_and_kill(folder: Path, chance: random.Random) -> None:
     """Render on, and kill the process when a few more frames are there."""
     folder_of_frames = folder / "o/frames"
-    wanted = len(list(folder_of_frames.glob("*.png"))) + chance.randint(0, FRAMES // KILLS)
+    wanted = len(list(folder_of_frames.glob("*.png"))) + chance.randint(0, FRAMES // (2 * KILLS))
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command(*RENDER, "--resume"), cwd=folder, env=environment, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60

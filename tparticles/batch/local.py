@@ -150,10 +150,13 @@ class Local:
                 self._told.put((child.name, {"event": "go"}))
 
     def _plan(self, event: Event) -> None:
-        """Learn from a film that is ready how many others have room beside: half as many as are rendered, or none."""
-        spare = -(-self.workers // 2)
-        fits = (self.workers + spare) * event.get("peak", 0) < _SPARE * backend.memory()
-        self._spare = spare if self._standby and event.get("arch") == "cpu" and fits else 0
+        """Learn from a film that is ready how many others have room beside: as many as are rendered and half as many, if so.
+
+        A short film takes longer to get ready than to render; with fewer, a worker's place is empty when a film ends.
+        """
+        fit = int(_SPARE * backend.memory() / max(1, event.get("peak", 0))) - self.workers
+        on = self._standby and event.get("arch") == "cpu"
+        self._spare = max(0, min(fit, -(-3 * self.workers // 2))) if on else 0
 
     def stop(self, name: str) -> None:
         """Stop a film; what is finished of it is kept."""

@@ -112,8 +112,17 @@ def gauss(a, d, k):
 
 
 @ti.func
+def gauss_sum(a, d, R):
+    """Return the sum of `gauss` over k = -R..R, term by term: for a thread of a GPU."""
+    total = ti.f32(1.0)
+    for k in range(1, R + 1):
+        total += gauss(a, d, k) + gauss(a, d, -k)
+    return total
+
+
+@ti.func
 def gauss_sums(a, dx, dy, R):
-    """Return the product of the sums of `gauss` over k = -R..R for two distances, WIDE terms at a time."""
+    """Return the product of the sums for two distances, WIDE terms at a time: for vectors."""
     x, y = ti.Vector([ti.f32(0.0)] * WIDE), ti.Vector([ti.f32(0.0)] * WIDE)
     for i in range((R + WIDE - 1) // WIDE):
         for lane in range(WIDE):
@@ -218,7 +227,7 @@ def piece_count(sigma):
 
 @ti.func
 def draw_piece(film: ti.template(), size, piece, u, v, sigma, energy):
-    """Add one piece of a dot, atomically: `draw_dot` for a GPU, same arithmetic, no loop around the additions."""
+    """Add one piece of a dot, atomically: `draw_dot` for a GPU, no loop around the additions."""
     x, y, R = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32), radius(sigma)
     dx, dy = ti.floor(u) + ti.f32(0.5) - u, ti.floor(v) + ti.f32(0.5) - v
     a = ti.f32(0.5) / (sigma * sigma)
@@ -231,7 +240,7 @@ def draw_piece(film: ti.template(), size, piece, u, v, sigma, energy):
             row = block_row(five_weights(a, q, dx), energy)
             weight = five_weights(a, q, dy)[j + 2]
         else:
-            row = block_row(across_block(a, dx, k0, R), energy / gauss_sums(a, dx, dy, R))
+            row = block_row(across_block(a, dx, k0, R), energy / (gauss_sum(a, dx, R) * gauss_sum(a, dy, R)))
             weight = gauss(a, dy, j)
         base = ((y + j) * (size[0] + 2 * PAD) + x + k0 + PAD) * 3
         for lane in ti.static(range(3 * BLOCK)):
