@@ -73,6 +73,16 @@ def test_a_preroll_in_strides_ends_as_frame_by_frame(whole, monkeypatch):
     np.testing.assert_allclose(quick["T"], slow["T"], rtol=1e-5)
 
 
+def test_a_stride_takes_the_steps_of_a_frame():
+    """dt = 0.04 s cuts a frame of 1/24 s in two; steps of 1/30 s, which a stride of 1/6 s has room for, would be unstable."""
+    drag = tp.Drag(time=0.0125)
+    dust = group(
+        "dust", system=tp.Newtonian(forces=(drag,)), births=tp.Rate(rate=90.0), velocity=tp.Cone(speed=3.0), preroll=3.0
+    )
+    state = film([1], scene(dust, scheme="euler", steps=tp.Fixed(dt=0.04), duration=0.1))[0][2]["dust"]
+    assert len(state["id"]) > 200 and np.abs(state["x"]).max() < 1.0
+
+
 @pytest.mark.parametrize(
     ("changes", "stride"),
     [

@@ -25,7 +25,7 @@ from .render.film import Dots, Film
 from .render.project import Projector, camera_row, draw
 from .scene import Group, Scene
 from .schemes import Scheme
-from .stepping.control import Fixed, StabilityLimit, check_precision, frame_step
+from .stepping.control import Fixed, StabilityLimit, check_precision, equal_steps, frame_step
 from .stepping.fused import FusedStepper, StepReport
 from .stepping.pace import memory
 from .stepping.rows import Request
@@ -85,6 +85,8 @@ class _Group:
     def __init__(self, plan: _Plan, scene: Scene, share: Share):
         spec = self.spec = plan.spec
         self.dt, self.scheme = plan.dt, scene.scheme
+        # Frames that are advanced together are cut into the steps of one: a longer one might not be stable.
+        self.unseen_dt = plan.dt if scene.stride == 1 else equal_steps(plan.dt, float(1 / scene.fps))
         self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity), more=plan.more)
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
@@ -130,7 +132,8 @@ class _Group:
         Raises:
             RunError: a particle went astray.
         """
-        steps = self.stepper.advance(self.alive, t0, t1, self.dt, camera=camera)
+        dt = self.unseen_dt if t0 < 0.0 else self.dt
+        steps = self.stepper.advance(self.alive, t0, t1, dt, camera=camera)
         died = self.mortality.mark(self.alive, t1, camera)
         return steps, self.population.bury(self.mortality.dead, died)
 

@@ -274,6 +274,11 @@ def check_precision(controller: Controller, precision: str) -> None:
         raise InputError(f"{what}: rounding in {precision} allows at least {least:g}{more}")
 
 
+def equal_steps(dt: float, frame: float) -> float:
+    """Return the step [s] of a whole frame in equal steps <= `dt`, as the kernels cut it."""
+    return frame / math.ceil(frame / dt - 1e-4)
+
+
 def frame_step(
     controller: Controller, *, scheme: Scheme, bound: Bound | None, frame: float, damping: float = 0.0
 ) -> float:
@@ -283,7 +288,7 @@ def frame_step(
         InputError: so small that a frame would need more than a million steps, or fixed and certainly unstable.
     """
     dt = min(controller.step(scheme, bound), frame)
-    taken = frame / math.ceil(frame / dt - 1e-4)
+    taken = equal_steps(dt, frame)
     if isinstance(controller, Fixed) and damping * taken > scheme.real_limit * (1 + 1e-6):
         raise InputError(
             f"steps of {taken:.3g} s are unstable: velocities relax at {damping:.3g} /s, and '{scheme.name}' needs dt < "
