@@ -45,17 +45,17 @@ def test_a_killed_worker_is_replaced_and_the_film_is_the_same(run: Commands, tmp
 
 
 def test_a_batch_that_is_interrupted_ends_its_workers_and_goes_on(run: Commands, tmp_path: Path) -> None:
-    batch = run.start("sweep", "dots", "--seeds", "1-3", *SLOW, "--out", "o", "--workers", 1)
+    batch = run.start("sweep", "dots", "--seeds", "1-4", *SLOW, "--out", "o", "--workers", 1)
     until(lambda: frames(tmp_path / "o", "seed=1") > 3, batch)
-    # the next film gets ready up to its first frame, and waits
-    until(lambda: frames(tmp_path / "o", "seed=2") == 1, batch)
+    # the next two films get ready up to their first frames, and wait
+    until(lambda: frames(tmp_path / "o", "seed=2") == frames(tmp_path / "o", "seed=3") == 1, batch)
     some = frames(tmp_path / "o", "seed=1")
     until(lambda: frames(tmp_path / "o", "seed=1") > some + 50, batch)
-    assert (frames(tmp_path / "o", "seed=2"), frames(tmp_path / "o", "seed=3")) == (1, 0)
+    assert [frames(tmp_path / "o", f"seed={seed}") for seed in (2, 3, 4)] == [1, 1, 0]
     pids = workers(batch.process.pid)
     first = next(pid for pid in pids if str(pid) in (tmp_path / "o/jobs/seed=1/.tparticles.lock").read_text())
     # a second batch, and a render into a folder that is being rendered, are refused by name
-    second = run("sweep", "dots", "--seeds", "1-3", *SLOW, "--out", "o")
+    second = run("sweep", "dots", "--seeds", "1-4", *SLOW, "--out", "o")
     second.refused(2, f"o is being written by process {batch.process.pid}", "--out")
     into = run("render", "dots", *SLOW, "--seed", "1", "--out", "o/jobs/seed=1")
     into.refused(2, f"o/jobs/seed=1 is being written by process {first}")
@@ -67,7 +67,7 @@ def test_a_batch_that_is_interrupted_ends_its_workers_and_goes_on(run: Commands,
     run_json = json.loads((tmp_path / "o/jobs/seed=1/run.json").read_text())
     assert run_json["status"] == "interrupted" and len(run_json["frames"]) > 3
     assert all(map(is_whole_png, (tmp_path / "o/jobs").rglob("*.png")))
-    assert "o: interrupted; 3 waiting" in run("status", "o").out
+    assert "o: interrupted; 4 waiting" in run("status", "o").out
 
     # a killed batch takes its workers along, and leaves a record that goes on, too
     again = run.start("retry", "o", "--workers", 2)
@@ -86,7 +86,7 @@ def test_a_batch_that_is_interrupted_ends_its_workers_and_goes_on(run: Commands,
     until(lambda: len(workers(third.process.pid)) > 0 and "running" in states(tmp_path / "o").values(), third)
     until(lambda: run("status", "o").out.startswith("o: running"), third)
     told = run("cancel", "o")
-    assert told.code == 0 and told.out == "o: 3 cancelled\n", told
+    assert told.code == 0 and told.out == "o: 4 cancelled\n", told
     third.end().refused(130, "cancelled; what is finished stays")
     assert set(states(tmp_path / "o").values()) == {"cancelled"}
 
