@@ -84,6 +84,10 @@ class Pardiso:
     _ANALYSE, _FACTOR, _SOLVE, _RELEASE = 11, 22, 33, -1
     # MKL's iparm(34): sums are split as for so many threads, however many there are.
     _REPRODUCIBLE_THREADS = 2
+    # MKL's iparm(2) and iparm(19), what a factorisation takes [Mflop]. Minimum degree suits sheets (a third less time), nested
+    # dissection solids (two thirds).
+    _ORDERING, _DISSECTION, _MINIMUM_DEGREE = 1, 3, 0
+    _WORK = 18
 
     def __init__(self, starts: Array, columns: Array):
         library = _mkl()
@@ -92,7 +96,6 @@ class Pardiso:
         self._handle = np.zeros(64, np.int64)
         self._options = np.zeros(64, np.int32)
         self._options[0] = 1  # the options below, not the default ones
-        self._options[1] = 3  # nested dissection, in parallel
         self._options[33] = self._REPRODUCIBLE_THREADS
         self._options[34] = 1  # indices count from 0
         self._values: Array | None = None
@@ -101,9 +104,22 @@ class Pardiso:
     def factor(self, values: Array) -> bool:
         """Take in the numbers of A; False where A is not positive definite."""
         analysed, self._values = self._values is not None, values
-        if not analysed and self._run(self._ANALYSE, None, None) != 0:
+        if not analysed and not self._analyse():
             return False
         return self._run(self._FACTOR, None, None) == 0
+
+    def _analyse(self) -> bool:
+        """Order the unknowns, the way that makes the factorisation cheaper."""
+        work = {how: self._ordered(how) for how in (self._DISSECTION, self._MINIMUM_DEGREE)}
+        if work[self._DISSECTION] < work[self._MINIMUM_DEGREE]:
+            self._ordered(self._DISSECTION)
+        return min(work.values()) < np.inf
+
+    def _ordered(self, how: int) -> float:
+        """Order the unknowns; return the work that a factorisation then takes [Mflop], infinite where it fails."""
+        self._options[self._ORDERING], self._options[self._WORK] = how, -1  # -1: to be told
+        _release(self._call, self._handle, self._options, len(self._starts) - 1)
+        return float(self._options[self._WORK]) if self._run(self._ANALYSE, None, None) == 0 else np.inf
 
     def solve(self, b: Array) -> Array:
         """Return y of the matrix taken in last, not a number where it fails."""

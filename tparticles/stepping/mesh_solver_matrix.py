@@ -249,37 +249,35 @@ class UpperPattern:
         number = np.full(springs.vertex_count, -1)
         number[self._free] = np.arange(n)
         ends = np.sort(np.stack([number[springs.first], number[springs.second]]), axis=0)
-        self._linked = np.flatnonzero(ends[0] >= 0)
-        key, self._pair = np.unique(ends[0, self._linked] * n + ends[1, self._linked], return_inverse=True)
-        self._alone = len(key) == len(self._linked)
+        linked = np.flatnonzero(ends[0] >= 0)
+        key, self._pair = np.unique(ends[0, linked] * n + ends[1, linked], return_inverse=True)
+        self._alone = len(key) == len(linked)
+        self._linked = linked[np.argsort(self._pair)] if self._alone else linked
         row, column = key // n, key % n
         degree = np.bincount(row, minlength=n)
         lengths = 3 * degree[:, None] + np.array([3, 2, 1])
         self.starts = np.concatenate([[0], np.cumsum(lengths.ravel())]).astype(np.int32)
         rank = np.arange(len(key)) - (np.cumsum(degree) - degree)[row]
         start = self.starts[:-1].reshape(n, 3)
-        self._diagonal_places = [(start[:, a] + b - a, k) for k, (a, b) in enumerate(_PAIRS)]
-        # Row (i, a) begins with its 3 - a entries of the diagonal block.
-        self._link_places = [(start[row, a] + (3 - a) + 3 * rank + b, _BLOCK[a, b]) for a in range(3) for b in range(3)]
-        self.columns = np.empty(self.starts[-1], np.int32)
-        for (places, _), (_, b) in zip(self._diagonal_places, _PAIRS, strict=True):
-            self.columns[places] = 3 * np.arange(n) + b
-        for b in range(3):
-            for places, _ in self._link_places[b::3]:
-                self.columns[places] = 3 * column + b
+        # `_take`: where each value comes from among the six numbers of all vertices and then of all pairs
+        self.columns, self._take = np.empty(self.starts[-1], np.int32), np.empty(self.starts[-1], np.int64)
+        for k, (a, b) in enumerate(_PAIRS):
+            places = start[:, a] + b - a
+            self.columns[places], self._take[places] = 3 * np.arange(n) + b, k * n + np.arange(n)
+        for a, b in np.ndindex(3, 3):
+            # row (i, a) begins with its 3 - a entries of the diagonal block
+            places = start[row, a] + (3 - a) + 3 * rank + b
+            self.columns[places], self._take[places] = (
+                3 * column + b,
+                6 * n + _BLOCK[a, b] * len(key) + np.arange(len(key)),
+            )
 
     def values(self, matrix: StepMatrix) -> Array:
         """Return the numbers of A in the order of `columns`."""
-        values = np.empty(len(self.columns))
-        for places, k in self._diagonal_places:
-            values[places] = matrix.diagonal[k, self._free]
-        for places, k in self._link_places:
-            block = matrix.links[k, self._linked]
-            if self._alone:
-                values[places[self._pair]] = -block
-            else:  # two springs between the same vertices
-                values[places] = -np.bincount(self._pair, block, len(places))
-        return values
+        links = matrix.links[:, self._linked]
+        if not self._alone:  # two springs between the same vertices
+            links = np.stack([np.bincount(self._pair, block) for block in links])
+        return np.concatenate([matrix.diagonal[:, self._free].ravel(), -links.ravel()])[self._take]
 
     def pack(self, r: Array) -> Array:
         """Return (3, n) as the unknowns of the free vertices, one after the other."""
