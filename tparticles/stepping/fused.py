@@ -320,19 +320,21 @@ class FusedStepper:
 
     @ti.func
     def _combine(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
-        """z = z0 + dt sum_j w_j k_j, from the first j whose weight is not 0."""
+        """z = z0 + dt sum_j w_j k_j, from the first j whose weight is not 0; z0, the largest, comes last: one rounding counts."""
         m = ti.static(len(self.state))
-        first = ops[op, 2]
-        for lane in range(b.lanes):
-            w = self._weight(b, op, first, lane, coefficients) * b.h[lane]
-            for d in ti.static(range(m)):
-                b.z[d][lane] = b.z0[d][lane] + w * b.k[d][first * b.lanes + lane]
+        first, begun = ops[op, 2], 0
         for j in range(first + 1, self.table.scheme.registers):
             if coefficients[op, 1 + j] != 0.0:
                 for lane in range(b.lanes):
                     w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
                     for d in ti.static(range(m)):
-                        b.z[d][lane] += w * b.k[d][j * b.lanes + lane]
+                        b.z[d][lane] = ti.select(begun > 0, b.z[d][lane], 0.0) + w * b.k[d][j * b.lanes + lane]
+                begun = 1
+        for lane in range(b.lanes):
+            w = self._weight(b, op, first, lane, coefficients) * b.h[lane]
+            for d in ti.static(range(m)):
+                others = ti.select(begun > 0, b.z[d][lane], 0.0)
+                b.z[d][lane] = b.z0[d][lane] + (others + w * b.k[d][first * b.lanes + lane])
 
     @ti.func
     def _kick(self, b: ti.template(), op, coefficients: ti.template()):
