@@ -57,7 +57,7 @@ def scene(
     )
     embers = tp.Group(
         name="embers",
-        system=tp.Advected(flow=tp.Uniform()),
+        system=tp.Still(),
         emitters=tp.Emitter(
             births=tp.Rate(rate=120.0),
             shape=tp.Disc(center=(0.0, 0.0, 0.02), radius=0.38),

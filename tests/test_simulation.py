@@ -241,6 +241,44 @@ class Thrust:
         return self.rate * v
 
 
+EMBERS = {
+    "appearance": tp.Glow(fade_in=0.3, fade_out=0.3),
+    "births": tp.Rate(rate=200.0),
+    "shape": tp.Disc(radius=0.3),
+    "temperature": (1500.0, 300.0),
+    "size": (0.05, 0.02),
+    "lifetime": (0.3, 0.1),
+}
+
+
+@pytest.mark.parametrize(
+    "cooling", [None, tp.Exponential(time=0.4), tp.Char()], ids=["no", "closed form", "integrated"]
+)
+def test_still_particles_are_those_of_a_flow_at_rest(cooling):
+    """The same births, deaths and pixels; they carry no velocity, and nothing is stepped unless the cooling is integrated."""
+    still, carried = (
+        film(film=scene(group("embers", system=system, cooling=cooling, **EMBERS), shutter=0.5, duration=0.3))
+        for system in (tp.Still(), tp.Advected(flow=tp.Uniform()))
+    )
+    for (_, image, state, _, report), (_, expected, there, _, moved) in zip(still, carried, strict=True):
+        np.testing.assert_array_equal(image, expected)
+        assert "v" not in state["embers"] and not there["embers"].pop("v").any()
+        assert same_states(state, there)
+        assert (report.born, report.died, report.alive) == (moved.born, moved.died, moved.alive)
+        assert report.steps == (moved.steps if cooling is not None and cooling.integrated else 0)
+
+
+def test_any_scheme_runs_beside_still_particles():
+    """A splitting scheme needs velocities, but still particles are not stepped; with a cooling to integrate they are."""
+    jets = group("jets", system=tp.Newtonian(forces=(tp.Gravity(),)), births=tp.Burst(count=5))
+    embers = group("embers", system=tp.Still(), **EMBERS)
+    assert simulate(scene(jets, embers, scheme="velocity-verlet")).advance_to(1).steps > 0
+    with pytest.raises(InputError, match=r"cannot run group 'embers': it kicks and drifts.*Still particles of order 1"):
+        scene(jets, group("embers", system=tp.Still(), cooling=tp.Char(), **EMBERS), scheme="velocity-verlet")
+    with pytest.raises(InputError, match=r"still particles do not move and have no velocity.*Newtonian"):
+        group("embers", system=tp.Still(), velocity=tp.Cone(speed=1.0), **EMBERS)
+
+
 def test_a_blow_up_is_caught():
     system = tp.Newtonian(forces=Thrust(200.0))
     film = scene(group("jets", system=system, births=tp.Burst(count=5), velocity=tp.Cone(speed=1.0)))

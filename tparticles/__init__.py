@@ -40,7 +40,7 @@ _PUBLIC = {
     "simulation": ("Frame", "Simulation"),
     "spec": ("spec",),
     "stepping.control": ("ErrorControl", "Fixed", "PixelTolerance", "StabilityLimit"),
-    "systems.motion": ("Advected", "Newtonian"),
+    "systems.motion": ("Advected", "Newtonian", "Still"),
     "track": ("Track",),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}

@@ -71,9 +71,9 @@ class Group:
                     f"{here}: nothing uses temperature or cooling under a Ramp; leave them out or use a Glow"
                 )
             if emitter.velocity is not None and self.system.order == 1:
+                why = "advected particles move with the flow" if self.system.moves else "still particles do not move"
                 raise InputError(
-                    f"{here}: advected particles move with the flow and have no velocity of their own; "
-                    "leave emitter.velocity out or use Newtonian"
+                    f"{here}: {why} and have no velocity of their own; leave emitter.velocity out or use Newtonian"
                 )
             if emitter.lifetime is None and (self.appearance.fade_in or self.appearance.fade_out):
                 raise InputError(f"{here}: fade_in and fade_out are fractions of a lifetime; give emitter.lifetime")
@@ -82,6 +82,16 @@ class Group:
     def freezes(self) -> bool:
         """Whether particles can die of cold."""
         return self.too_cold and self.appearance.uses_temperature and self.cooling is not None
+
+    @property
+    def heated(self) -> bool:
+        """Whether a cooling law integrates the temperature."""
+        return self.cooling is not None and self.cooling.integrated
+
+    @property
+    def stepped(self) -> bool:
+        """Whether there is anything to integrate."""
+        return self.system.moves or self.heated
 
     def _values(self, name: str) -> list[Spread | None]:
         return [getattr(emitter, name) for emitter in self.emitters]
@@ -93,9 +103,9 @@ class Group:
     def attributes(self, *, streaks: bool) -> tuple[str, ...]:
         """Return the names of the attributes that this group needs, and no more."""
         names = ["x", "id", "birth"]
-        if self.system.order == 2 or streaks:
+        if self.system.order == 2 or (streaks and self.system.moves):
             names.append("v")
-        if self.cooling is not None and self.cooling.integrated:
+        if self.heated:
             names.append("T")
         elif self.appearance.uses_temperature and self._stored("temperature"):
             names.append("T0")
@@ -128,7 +138,7 @@ class Group:
     @property
     def components(self) -> int:
         """How many numbers the state of a particle has: x, v, and T where a cooling law integrates it."""
-        return 3 * len(self.system.state) + (self.cooling is not None and self.cooling.integrated)
+        return 3 * len(self.system.state) + self.heated
 
     def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
         """Return how many particles can be alive at once, if the dead wait for so long, a frame [s], to be removed."""
@@ -177,7 +187,8 @@ class Scene:
         for name in {n for n in names if names.count(n) > 1}:
             raise InputError(f"two groups are named '{name}'")
         for group in self.particles:
-            _check_scheme(self.scheme, group)
+            if group.stepped:
+                _check_scheme(self.scheme, group)
         for group in self.meshes:
             scheme = group.scheme or self.scheme
             group.check_steps(group.steps or self.steps)

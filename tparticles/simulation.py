@@ -66,7 +66,7 @@ class _Plan:
             births,
             min(capacity, share.room(consecutive, len(births))),
             spec.attributes(streaks=scene.shutter > 0),
-            memory(scheme, spec.components, adaptive=scene.adaptive),
+            memory(scheme, spec.components, adaptive=scene.adaptive) if spec.stepped else (),
             scheme,
             frame_step(
                 scene.steps, scheme=scheme, bound=bound, frame=float(1 / scene.fps), damping=spec.system.damping
@@ -90,15 +90,17 @@ class _Group:
         self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity), more=plan.more)
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
-        self.stepper = FusedStepper(
-            spec.system,
-            cooling=spec.cooling,
-            scheme=plan.scheme,
-            clamp=scene.clamp,
-            columns=self.columns,
-            size=constants.size,
-            tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
-        )
+        self.stepper = None
+        if spec.stepped:
+            self.stepper = FusedStepper(
+                spec.system,
+                cooling=spec.cooling,
+                scheme=plan.scheme,
+                clamp=scene.clamp,
+                columns=self.columns,
+                size=constants.size,
+                tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
+            )
         self.projector = Projector(self.view, spec.appearance, scene.look)
         self.mortality = Mortality(
             self.columns,
@@ -132,8 +134,9 @@ class _Group:
         Raises:
             RunError: a particle went astray.
         """
-        dt = self.unseen_dt if t0 < 0.0 else self.dt
-        steps = self.stepper.advance(self.alive, t0, t1, dt, camera=camera)
+        dt, steps = self.unseen_dt if t0 < 0.0 else self.dt, StepReport()
+        if self.stepper:
+            steps = self.stepper.advance(self.alive, t0, t1, dt, camera=camera)
         died = self.mortality.mark(self.alive, t1, camera)
         return steps, self.population.bury(self.mortality.dead, died)
 

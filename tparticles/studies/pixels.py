@@ -67,7 +67,8 @@ def track(scene: Scene, frame: int, *, precision: str, size: tuple[int, int], th
     simulation = Simulation(scene, size=size, arch="cpu", precision=precision, threads=threads)
     clock = [0.0]
     for group in simulation.groups:
-        _watch(group.stepper, clock, simulation, group.dt)
+        if group.stepper:
+            _watch(group.stepper, clock, simulation, group.dt)
     report = simulation.advance_to(frame)
     dots = {}
     for group in simulation.groups:

@@ -1,4 +1,4 @@
-"""The two kinds of particle system without neighbours: carried by a flow, or with inertia.
+"""The kinds of particle system without neighbours: carried by a flow, with inertia, or at rest.
 
 A system says which attributes are its state and lists the terms of its right-hand side; a stepper does the rest.
 """
@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import SkipValidation
 
 from ..errors import InputError
+from ..physics.flows import Uniform
 from ..physics.law import Bound, ForceLike, check_flow, flow_terms, jacobian_bound
 from ..spec import spec
 from . import terms
@@ -23,6 +24,7 @@ class Advected:
 
     order = 1
     state = ("x",)
+    moves = True
     velocity_free = True
     damping = 0.0
 
@@ -46,6 +48,7 @@ class Newtonian:
 
     order = 2
     state = ("x", "v")
+    moves = True
 
     def __post_init__(self) -> None:
         for force in self.forces if isinstance(self.forces, tuple | list) else (self.forces,):
@@ -74,4 +77,23 @@ class Newtonian:
         return jacobian_bound(self.forces)
 
 
-System = Advected | Newtonian
+@spec
+class Still:
+    """At rest: particles stay where they were born, as embers do. Only a cooling law that is integrated takes steps."""
+
+    order = 1
+    state = ("x",)
+    moves = False
+    velocity_free = True
+    damping = 0.0
+
+    def terms(self, parameters: Any) -> list[terms.Term]:
+        """Return the terms of dx/dt = 0."""
+        return terms.flow(Uniform(), parameters, 0)
+
+    def jacobian_bound(self) -> Bound:
+        """Return the bound on the eigenvalues, 0 [1/s]."""
+        return Bound()
+
+
+System = Advected | Newtonian | Still
