@@ -352,12 +352,13 @@ class Film:
                     for block in range(ti.max(first, 0), ti.min(first + self.cell_blocks, (self.width + 7) // 8)):
                         code = ti.Vector([ti.i32(0)] * LANES)
                         start = (y * self.stride + splat.PAD * 3 + block * LANES) & backend.NO_WRAP
+                        column = (8 * LANES + n + y * LANES) & backend.NO_WRAP
                         for lane in range(LANES):
                             value = ti.cast(self.light[start + lane], ti.f32) * quantum
                             if ti.static(behind == _PICTURE):
                                 value += picture[start + lane]
                             if ti.static(behind == _COLUMN):
-                                value += self.bands.numbers[8 * LANES + n + y * LANES + lane]
+                                value += self.bands.numbers[column + lane]
                             s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
                             k = ti.min(ti.cast(s, ti.i32), n - 2)
                             low, high = self.bands.numbers[8 * LANES + k], self.bands.numbers[8 * LANES + k + 1]

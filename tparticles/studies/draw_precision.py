@@ -71,9 +71,10 @@ def _looks(result: Precision) -> dict[str, dict[str, Any]]:
     for label, points in _lines(result).items():
         p = points[0]
         if p.peer:
-            peers.append(label)
-            position = len(peers) - 1
-            look = {"color": _PEER, "marker": style.MARKERS[position // 2 % len(style.MARKERS)]}
+            method = label.rsplit(" ", 1)[0]  # the same marker stacked and each
+            if method not in peers:
+                peers.append(method)
+            look = {"color": _PEER, "marker": style.MARKERS[peers.index(method) % len(style.MARKERS)]}
             dashes = ":" if label.endswith("each") else "-"
             looks[label] = look | {"linestyle": dashes, "linewidth": 1.2, "markersize": 4}
             continue
