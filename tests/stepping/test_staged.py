@@ -1,5 +1,7 @@
 """The staged executor: every scheme on a mesh against the plain interpreter, closed forms, conservation, one thread or many."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from mesh_bench import FRAME, motion, right_hand_side, run
@@ -34,6 +36,45 @@ def test_a_scheme_does_what_its_program_says(scheme):
     bench = motion(mesh, scheme=scheme, dt=FRAME / 8)
     run(bench, 2)
     assert np.allclose(bench.system.read(), interpreted(mesh, scheme, FRAME / 8, 16), rtol=0, atol=1e-12)
+
+
+GRIDS = {
+    "cloth": lambda **more: tp.cloth(counts=(19, 9), stiffness=2.0, **more).pin([0, 18]),
+    "jelly": lambda **more: tp.lattice(counts=(3, 4, 5), stiffness=2.0, **more),
+    "rope": lambda **more: tp.rope(count=40, stiffness=2.0, **more).pin([0]),
+}
+
+
+def crumpled(mesh):
+    """Return a mesh whose vertices are out of place and move; springs that should be of one length are, to the last bit."""
+    rng = np.random.default_rng(7)
+    noise = rng.normal(0.0, 0.1 * mesh.rest.min(), (2, *mesh.x.shape)) * ~mesh.pinned[:, None]
+    return dataclasses.replace(mesh, x=mesh.x + noise[0], v=mesh.v + noise[1], rest=np.round(mesh.rest, 9))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.01])
+@pytest.mark.parametrize("name", GRIDS)
+def test_rows_of_a_grid_pull_as_springs_one_by_one(name, damping):
+    """Springs that may tear are kept one by one; the rows of other grids are kept as one each."""
+    mesh = crumpled(GRIDS[name](damping=damping))
+    one_by_one = crumpled(GRIDS[name](damping=damping, tear=1e9))
+    rows, entries = (motion(m, scheme="rk4", dt=FRAME / 30) for m in (mesh, one_by_one))
+    assert rows.system.straight and (rows.system.row_first.to_numpy() >= 0).mean() > 0.4 and not entries.system.straight
+    for bench in (rows, entries):
+        bench.advance(0.0, FRAME / 15, np.zeros(15, np.float32))
+    assert np.allclose(rows.system.read(), entries.system.read(), rtol=0, atol=1e-14)
+    assert np.allclose(rows.system.read(), interpreted(mesh, schemes.get("rk4"), FRAME / 30, 2), rtol=0, atol=1e-13)
+
+
+def test_a_mesh_may_be_stiffened():
+    soft, stiff = (
+        motion(crumpled(tp.cloth(counts=20, stiffness=k, damping=0.01)), scheme="rk4", dt=FRAME / 30)
+        for k in (1.0, 2.0)
+    )
+    soft.system.stiffen(2.0)
+    for bench in (soft, stiff):
+        run(bench, 1)
+    assert np.array_equal(soft.system.read(), stiff.system.read())
 
 
 @pytest.mark.parametrize("name", FAMILIES)

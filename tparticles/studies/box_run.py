@@ -144,9 +144,7 @@ class BoxRun:
         """Throw the boxes; `stiffness` replaces that of the only one."""
         if stiffness is not None:
             self.stiffness[:] = stiffness
-            field = self.system.stiffness.to_numpy()
-            field[: len(self.system.spring)] = np.where(self.system.spring >= 0, stiffness, 0.0)
-            self.system.stiffness.from_numpy(field)
+            self.system.stiffen(stiffness)
         states = [drop.state(k) for drop, k in zip(drops, self.stiffness, strict=True)]
         self.system.write(*(np.concatenate(parts) for parts in zip(*states, strict=True)))
         self.stepper.forget()

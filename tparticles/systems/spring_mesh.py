@@ -84,7 +84,9 @@ class SpringMesh:
         self.grid: Any = HashedGrid(repulsion, self.z, self.count) if repulsion else None
         self.straight = self.lanes == LANES and not self.tears
         if self.straight:
-            self._keep_straight(near)
+            first, lanes, values = self._straight_rows(near, mesh.stiffness)
+            self.row_first, self.row_lanes = self._filled(first, ti.i32), self._filled(lanes, ti.i32)
+            self.row_values = [self._filled(v, self.real) for v in values]
         for field, values in ((self.inverse_mass, weights), *self._contents):
             self._fill(field, values)
         if self.grid:
@@ -108,13 +110,24 @@ class SpringMesh:
         """Return a spring's value for each entry, 0 for padding."""
         return np.append(np.asarray(values, float), 0.0)[self.spring]  # padding is -1
 
-    def _keep_straight(self, near: Adjacency) -> None:
-        """Keep the rows of springs that are alike as one each."""
+    def _straight_rows(self, near: Adjacency, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `Adjacency.straight` does for the springs' stiffness, rest length and, where there is any, damping."""
         kind = np.float64 if self.real == ti.f64 else np.float32
-        kept = [self.mesh.stiffness, self.mesh.rest, *([self.mesh.damping] if self.damped else [])]
-        first, lanes, values = near.straight(np.stack([self._per_entry(v) for v in kept]).astype(kind))
-        self.row_first, self.row_lanes = self._filled(first, ti.i32), self._filled(lanes, ti.i32)
-        self.row_values = [self._filled(v, self.real) for v in values]
+        kept = [stiffness, self.mesh.rest, *([self.mesh.damping] if self.damped else [])]
+        return near.straight(np.stack([self._per_entry(v) for v in kept]).astype(kind))
+
+    def stiffen(self, stiffness: float) -> None:
+        """Give all springs another stiffness [N/m], the torn ones too."""
+        springs = np.full(len(self.mesh.springs), float(stiffness))
+        if not len(springs):
+            return
+        self._fill(self.stiffness, self._per_entry(springs))
+        if self.straight:
+            first, lanes, values = self._straight_rows(Adjacency.of(self.mesh), springs)
+            for field, row in zip(
+                (self.row_first, self.row_lanes, *self.row_values), (first, lanes, *values), strict=True
+            ):
+                self._fill(field, row)
 
     def write(self, x: np.ndarray, v: np.ndarray) -> None:
         """Set positions and velocities, (n, 3) each."""
