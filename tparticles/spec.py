@@ -5,6 +5,7 @@ A spec is a pydantic dataclass whose errors are one line of ours: what is wrong,
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, TypeVar, dataclass_transform
@@ -39,7 +40,10 @@ def spec(cls: Class) -> Class:
     """Make `cls` a frozen, keyword-only, validated dataclass whose constructor raises `InputError`."""
     # Of our own specs a scene uses a few: their validators are built by the first that is made.
     config: ConfigDict = {**_CONFIG, "defer_build": cls.__module__.startswith("tparticles.")}
-    cls = pydantic_dataclass(frozen=True, kw_only=True, config=config)(cls)  # type: ignore[assignment]
+    cls = pydantic_dataclass(kw_only=True, repr=False, eq=False, config=config)(cls)  # type: ignore[assignment]
+    for name, method in _METHODS.items():
+        if name not in vars(cls):
+            setattr(cls, name, method)
     construct: Callable[..., None] = cls.__init__
 
     def __init__(self: Any, *args: Any, **options: Any) -> None:  # noqa: N807
@@ -54,6 +58,32 @@ def spec(cls: Class) -> Class:
 
     cls.__init__ = __init__
     return cls
+
+
+def _values(self: Any) -> tuple[Any, ...]:
+    return tuple(getattr(self, f.name) for f in dataclasses.fields(self))
+
+
+def _repr(self: Any) -> str:
+    return f"{type(self).__qualname__}({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in dataclasses.fields(self))})"
+
+
+def _equal(self: Any, other: object) -> Any:
+    if other.__class__ is not self.__class__:
+        return NotImplemented
+    return _values(self) == _values(other)
+
+
+def _hash(self: Any) -> int:
+    return hash(_values(self))
+
+
+def _refuse(self: Any, name: str, *value: Any) -> None:
+    raise dataclasses.FrozenInstanceError(f"cannot {'assign to' if value else 'delete'} field {name!r}")
+
+
+# What a frozen dataclass has. For each class anew, Python would write them as source and compile that, a good part of our import.
+_METHODS = {"__repr__": _repr, "__eq__": _equal, "__hash__": _hash, "__setattr__": _refuse, "__delattr__": _refuse}
 
 
 def _fields(cls: type) -> list[str]:
