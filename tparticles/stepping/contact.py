@@ -146,6 +146,25 @@ class Contact:
                     self._put(i, x - ti.min(d, 0.0) * normal, v - ti.min(vn, 0.0) * normal)
 
     @ti.func
+    def stop(self, i, t):
+        """Stop vertex `i` where an implicit stage has led it to a surface, and leave it there; return 1 if it arrived just now."""
+        done = 0
+        if self.system.inverse_mass[i] > 0.0:
+            for n, shape, surface in ti.static(self.colliders):
+                x, v = self._state(self.system.z, i)
+                y = x - t * surface.velocity
+                d, normal = self._distance(shape, y), shape.normal(y)
+                vn = (v - surface.velocity).dot(normal)
+                if d > ti.static(4 * self.slack):
+                    if self.touching[i] == n:
+                        self.touching[i] = 0
+                else:
+                    if self.touching[i] == 0:
+                        self.touching[i], done = n, 1
+                    self._put(i, x - ti.min(d, 0.0) * normal, v - ti.min(vn, 0.0) * normal)
+        return done
+
+    @ti.func
     def resolve(self, i, t, h):
         """Bounce vertex `i` by itself within the step t..t+h from z0 to z; return 1 if it did.
 
@@ -210,20 +229,6 @@ class Contact:
         found = np.zeros((self.system.count, 8), kind)
         self._nearest(np.ascontiguousarray(x, kind), t, found, self.system.parameters.array)
         return found[:, 0], found[:, 1], found[:, 2:5], found[:, 5:]
-
-    def stopped(self, x: np.ndarray, v: np.ndarray, t: float, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return which points at `x` [m], (n, 3), are inside a collider, and velocities [m/s] that stop them at its surface.
-
-        A step `h` [s] with an implicit stage has led to `x` with `v`. It was too long for a bounce to be told from a rest: the
-        normal velocity becomes the one that would have led to the surface, and the friction is that of the impulse this takes.
-        """
-        distance, friction, normal, carried = self.nearest(x, t)
-        inside = (distance < -self.slack) & (self.system.inverse_mass.to_numpy()[: len(x)] > 0)
-        push = np.where(inside, -distance / h, 0.0)[:, None]
-        relative = v - carried
-        across = relative - np.sum(relative * normal, axis=1, keepdims=True) * normal
-        speed = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
-        return inside, v + push * normal - across * np.minimum(friction[:, None] * push / speed, 1.0)
 
     @ti.func
     def press(self, b: ti.template(), block, t, h):

@@ -33,7 +33,6 @@ _NEWTON_LIMIT = 50
 _HALVINGS = 6
 _ASTRAY = 10.0  # a misfit of ten springs is no reason yet to shorten a step
 _BALANCE_WEIGHT = 0.1  # of what is out of balance, in the misfit
-_HEAVY = 1e12
 _CG_NEWTON, _CG_LINEAR = 1e-2, 1e-10  # of the right-hand side
 _CG_LIMIT = 30  # iterations per free vertex
 _CG_PER_OMEGA = 1.4  # iterations per h omega, measured on draped cloth
@@ -48,6 +47,7 @@ class SolveResult:
 
     `residual` is the misfit as a part of the mean rest length (of a linear stage: what is left of the linear system, relative);
     where `converged` is False it lies above the tolerance, x and v are the best found, and the caller halves its step.
+    `pushes`: the speed [m/s] that its wall gave each vertex, (n,), negative where it had to pull; 0 without walls.
     """
 
     x: Array
@@ -57,6 +57,7 @@ class SolveResult:
     residual: float
     converged: bool
     method: str
+    pushes: Array | float = 0.0
 
 
 @dataclass
@@ -110,7 +111,7 @@ class MeshSolver:
         self.springs = _checked(springs, stiffness, damping, rest, mass, fixed)
         self.method, self.tolerance, self.tension, self.reason = method, tolerance, None, ""
         lengths = self.springs.rest[self.springs.rest > 0.0]
-        self._size = float(lengths.mean()) if len(lengths) else 1.0
+        self.length = float(lengths.mean()) if len(lengths) else 1.0
         self._direct = direct.available()
         if method == "direct" and self._direct is None:
             raise InputError(f"method 'direct' of the mesh solver needs MKL or scipy: {direct.INSTALL}")
@@ -126,7 +127,8 @@ class MeshSolver:
         *,
         linear: bool = False,
         start: Array | None = None,
-        held: Array | None = None,
+        walls: Array | None = None,
+        speeds: Array | None = None,
     ) -> SolveResult:
         """Find x = zbar_x + h v and v = zbar_v + h a(x, v); a fixed vertex keeps v = zbar_v.
 
@@ -142,24 +144,24 @@ class MeshSolver:
             One Newton step from (zbar_x, zbar_v), as semi-implicit schemes do (Baraff and Witkin 1998).
         start
             Guess for v, shape (n, 3); zbar_v by default.
-        held
-            Vertices that keep v = zbar_v this time, bool (n,), those in contact: they count as a million million times heavier, so
-            that the matrix keeps its pattern.
+        walls, speeds
+            Of vertices in contact: the unit vector (n, 3) across which they move with the speed [m/s] (n,) this time; 0 for all
+            others. They count as a million million times heavier in that direction, so that the matrix keeps its pattern.
         """
-        if held is not None and held.any():
-            ours, self.springs = (
-                self.springs,
-                replace(self.springs, mass=np.where(held, _HEAVY * self.springs.mass, self.springs.mass)),
-            )
-            outside = None if extra_acceleration is None else _outside(extra_acceleration, held)
+        if walls is not None:
+            ours, self.springs = self.springs, replace(self.springs, walls=_by_component(walls))
             try:
-                return self.solve(zbar_x, zbar_v, h, outside, linear=linear, start=start)
+                stage = _Stage(self.springs, zbar_x, zbar_v, h, extra_acceleration, self.length, speeds)
+                return self._solve(stage, zbar_x, zbar_v, linear=linear, start=start)
             finally:
                 self.springs = ours
-        stage = _Stage(self.springs, zbar_x, zbar_v, h, extra_acceleration, self._size)
+        stage = _Stage(self.springs, zbar_x, zbar_v, h, extra_acceleration, self.length)
+        return self._solve(stage, zbar_x, zbar_v, linear=linear, start=start)
+
+    def _solve(self, stage: _Stage, zbar_x: Array, zbar_v: Array, *, linear: bool, start: Array | None) -> SolveResult:
         if not stage.finite:
             return SolveResult(np.asarray(zbar_x), np.asarray(zbar_v), 0, 0, np.inf, False, "none")
-        method = self._choose(h)
+        method = self._choose(stage.h)
         tolerance = self.tolerance or (0.1 if np.result_type(zbar_x, zbar_v) == np.float32 else 1e-10)
         with np.errstate(over="ignore", invalid="ignore"):  # reported as not converged
             if linear:
@@ -176,7 +178,8 @@ class MeshSolver:
         b = h * (self.springs.mass * self.springs.free * stage.extra(stage.position(v), v) - pull)
         dv, count, good = self._linear_solve(matrix, b, method, _CG_LINEAR, np.inf)
         left = float(np.abs(matrix @ dv - b).max(initial=0.0) / (np.abs(b).max(initial=0.0) or 1.0))
-        return stage.result(v + dv, 1, count, left, good and bool(np.isfinite(left)), method)
+        there = _look(stage, v + dv, tension)
+        return stage.result(there, 1, count, left, good and bool(np.isfinite(left)), method)
 
     def _solve_newton(self, stage: _Stage, method: str, tolerance: float, v: Array) -> SolveResult:
         v = np.where(self.springs.free, v, stage.vbar)
@@ -195,8 +198,8 @@ class MeshSolver:
             now = _search(stage, now, dv)
             if now.misfit <= tolerance:
                 self.tension = now.turning
-                return stage.result(now.v, iteration, count, now.misfit, True, method)
-        return stage.result(now.v, iteration, count, now.misfit, False, method)
+                return stage.result(now, iteration, count, now.misfit, True, method)
+        return stage.result(now, iteration, count, now.misfit, False, method)
 
     def _linear_solve(
         self, matrix: StepMatrix, b: Array, method: str, tolerance: float, left
@@ -235,19 +238,24 @@ class MeshSolver:
         return "cg" if iterate < factor else "direct"
 
 
-def _outside(extra: Acceleration, held: Array) -> Acceleration:
-    """Return the extra acceleration without what falls to held vertices."""
-    return lambda x, v: np.where(held[:, None], 0.0, extra(x, v))
-
-
 class _Stage:
     """One equation v = vbar + h a(xbar + h v, v), component by component, in f64."""
 
     def __init__(
-        self, springs: Springs, zbar_x: Array, zbar_v: Array, h: float, extra: Acceleration | None, size: float
+        self,
+        springs: Springs,
+        zbar_x: Array,
+        zbar_v: Array,
+        h: float,
+        extra: Acceleration | None,
+        size: float,
+        speeds: Array | None = None,
     ):
         self.springs, self.h, self.size = springs, float(h), size
         self.xbar, self.vbar = _by_component(zbar_x), _by_component(zbar_v)
+        self.loose = self.vbar  # what vbar would be without walls
+        if springs.walls is not None:
+            self.vbar = self.loose + springs.walls * (speeds - (springs.walls * self.loose).sum(axis=0))
         self._kinds = np.asarray(zbar_x).dtype, np.asarray(zbar_v).dtype
         self._extra = extra
         self.finite = bool(np.isfinite(self.xbar).all() and np.isfinite(self.vbar).all() and np.isfinite(h))
@@ -271,11 +279,17 @@ class _Stage:
         return acceleration_blocks(self.extra, x, v, self.h, self.springs, nudge)
 
     def result(
-        self, v: Array, iterations: int, count: int, residual: float, converged: bool, method: str
+        self, there: _Iterate, iterations: int, count: int, residual: float, converged: bool, method: str
     ) -> SolveResult:
-        """Return x and v vertex by vertex, as precise as they came."""
-        x = np.ascontiguousarray(self.position(v).T, self._kinds[0])
-        return SolveResult(x, np.ascontiguousarray(v.T, self._kinds[1]), iterations, count, residual, converged, method)
+        """Return x and v vertex by vertex, as precise as they came, and what the walls did."""
+        v, walls = there.v, self.springs.walls
+        position = self.position(v)
+        x, v_out = (np.ascontiguousarray(a.T, kind) for a, kind in zip((position, v), self._kinds, strict=True))
+        pushes: Array | float = 0.0
+        if walls is not None:
+            pull = self.springs.spread(there.turning * there.u) / self.springs.mass
+            pushes = (walls * (v - self.loose + self.h * (pull - self.extra(position, v)))).sum(axis=0)
+        return SolveResult(x, v_out, iterations, count, residual, converged, method, pushes)
 
 
 def _look(stage: _Stage, v: Array, turning: Array) -> _Iterate:
@@ -283,9 +297,9 @@ def _look(stage: _Stage, v: Array, turning: Array) -> _Iterate:
     springs, h = stage.springs, stage.h
     x = stage.position(v)
     tension, length, u = springs.stretched(x, v)
-    momentum = springs.mass * springs.free * (v - stage.vbar - h * stage.extra(x, v))
+    momentum = springs.free * (springs.momentum(v - stage.vbar) - springs.mass * h * stage.extra(x, v))
     imbalance = momentum + h * springs.spread(tension * u)
-    push = (momentum + h * springs.spread(turning * u)) * (h / springs.mass)
+    push = h * springs.pushed(momentum + h * springs.spread(turning * u))
     # |T - g| over k + c / h: by so much the length is off
     compliance = h / np.maximum(springs.stiffness_over_step(h), np.finfo(float).tiny)
     off = np.where(springs.stiffness_over_step(h) > 0.0, np.abs(tension - turning) * compliance, 0.0)

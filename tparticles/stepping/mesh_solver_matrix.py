@@ -27,13 +27,17 @@ import numpy as np
 
 Array = np.ndarray
 _CG_ROUNDING = 1e-14
+_HEAVY = 1e12  # times its mass is what a vertex weighs across a wall
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the six numbers of a symmetric 3x3 block
 _BLOCK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where entry (a, b) is among them
 
 
 @dataclass(frozen=True)
 class Springs:
-    """The mesh as the solver sees it: ends (m), stiffness [N/m], damping [N s/m], rest length [m]; mass [kg] and `free` (n)."""
+    """The mesh as the solver sees it: ends (m), stiffness [N/m], damping [N s/m], rest length [m]; mass [kg] and `free` (n).
+
+    `walls`, (3, n): a unit vector where a vertex in contact keeps its velocity in that direction, else 0.
+    """
 
     first: Array
     second: Array
@@ -42,6 +46,7 @@ class Springs:
     rest: Array
     mass: Array
     free: Array
+    walls: Array | None = None
 
     @property
     def vertex_count(self) -> int:
@@ -57,6 +62,20 @@ class Springs:
         n = self.vertex_count
         total = [np.bincount(self.first, p, n) - np.bincount(self.second, p, n) for p in pull]
         return np.stack(total) * self.free
+
+    def momentum(self, v: Array) -> Array:
+        """Return m v (3, n), and a million million times that across a wall."""
+        p = self.mass * v
+        if self.walls is not None:
+            p += _HEAVY * self.walls * (self.walls * p).sum(axis=0)
+        return p
+
+    def pushed(self, p: Array) -> Array:
+        """Return the velocities that momenta `p` (3, n) give: none across a wall."""
+        v = p / self.mass
+        if self.walls is not None:
+            v -= self.walls * (self.walls * v).sum(axis=0)
+        return v
 
     def stretched(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return tension T [N] and length |d| [m], shape (m,), and direction u, shape (3, m), which is 0 at length 0."""
@@ -107,6 +126,8 @@ class StepMatrix:
         n = springs.vertex_count
         own = np.zeros((6, n)) if extra is None else extra.copy()
         own[:3] += springs.mass
+        if springs.walls is not None:
+            own += _HEAVY * springs.mass * np.stack([springs.walls[a] * springs.walls[b] for a, b in _PAIRS])
         sums = [np.bincount(springs.first, b, n) + np.bincount(springs.second, b, n) for b in links]
         return cls(springs, links, own, own + np.stack(sums))
 

@@ -28,16 +28,20 @@ from .passes import Passes
 from .recorder import UNRECORDED, Recorder
 from .stages import SOLVE, Stages
 from .table import Table
+from .walls import ROUNDS, Walls
 
 _SERIAL = 20_000  # vertices: below it one thread is faster than a launch for every op
 _LAUNCH = 20_000_000  # vertex-steps in a serial launch, about a second: Ctrl-C waits for it
-_CONTACT_ROUNDS = 2  # of a solution with more and more vertices held on the surfaces they would have entered
 _PICTURE = 0.1  # tolerance of an implicit stage in f32, as a part of a spring: below a pixel, where a spring is some pixels long
 _HALVINGS = 10  # of a step that has no solution
 
 
 class _NoSolutionError(Exception):
     """An implicit stage has none, or Newton's method does not find it."""
+
+
+class _TouchError(Exception):
+    """A step of another scheme than backward Euler leads into a collider."""
 
 
 Drive = Callable[[float], np.ndarray]
@@ -272,8 +276,13 @@ class StagedStepper:
         if self.drives:
             self.stages.aim(h, self.driven, paths)
         passes = self.passes.step(starting, self.fresh, ends=False)
-        page = self._solved(passes, t, h) if self.table.implicit else self._pass_over(passes, 0, t, h)
-        met = 0
+        met, smooth = 0, True
+        try:
+            page = self._solved(passes, t, h) if self.table.implicit else self._pass_over(passes, 0, t, h)
+        except _TouchError:
+            page, smooth = 0, False
+            self.stages.back()
+            self._euler(t, h)
         if self.ends:
             met_at = self.recorder.met_at if self.recorder else UNRECORDED[4]
             met = self.stages.finish(page, t, h, self.system.parameters.array, t + h - self.began, met_at)
@@ -282,8 +291,8 @@ class StagedStepper:
         if self.table.shifts:
             self.stages.end(starting, h)
         self.held, self.fresh = min(self.held + 1, self.steps_back), self.reuses
-        if met:
-            self.contacts += met
+        self.contacts += met
+        if met or not smooth:
             self.forget()
         if self.solver and self.system.tears and not np.array_equal(self.system.whole(), self._whole):
             self.solver = self._make_solver()
@@ -309,26 +318,47 @@ class StagedStepper:
         x, v = (np.asarray(a, float) for a in self.system.read())
         at = t + float(self.table.coefficients[op, 0]) * h
         linear = bool(row[3])
-        found = self._solution(x, v, w, at, linear=linear, held=None)
-        held = np.zeros(len(x), bool)
-        for _ in range(_CONTACT_ROUNDS if self.contact.any else 0):
-            inside, stopped = self.contact.stopped(found.x, found.v, at, w)
-            if not inside.any():
-                break
-            held |= inside
-            vbar = np.where(inside[:, None], stopped, np.where(held[:, None], found.v, v))
-            found = self._solution(x, vbar, w, at, linear=linear, held=held)
-        self.stages.put(
-            int(row[1]),
-            *(np.ascontiguousarray(a, self.stages.kind) for a in (found.x, found.v, (found.v - v) / w)),
-        )
+        found = self._solution(x, v, w, at, linear=linear)
+        if self.contact.any and w == h and not linear:  # backward Euler
+            found = self._stopped(found, x, v, at, h)
+        elif self.contact.any:
+            goes_on = self._goes_on(op)
+            ends = x + (found.x - x) * (h / w) if goes_on else found.x
+            if self._walls(x, v, t + h if goes_on else at, w).enters(ends):
+                raise _TouchError
+        self._put(int(row[1]), found, (found.v - v) / w)
 
-    def _solution(
-        self, x: np.ndarray, v: np.ndarray, w: float, t: float, *, linear: bool, held: np.ndarray | None
-    ) -> SolveResult:
+    def _goes_on(self, op: int) -> bool:
+        """Whether the step goes on from this stage along its slope, as the implicit midpoint rule does."""
+        after = self.table.ops[op + 1 : self.table.edges[1] if op < self.table.edges[1] else self.table.edges[2], 0]
+        return bool(self.table.coefficients[op, 0] < 1.0 and SOLVE not in after)
+
+    def _euler(self, t: float, h: float) -> None:
+        """Take a step of backward Euler, which contact cannot make gain energy."""
+        x, v = (np.asarray(a, float) for a in self.system.read())
+        found = self._stopped(self._solution(x, v, h, t + h, linear=False), x, v, t + h, h)
+        self._put(0, found, (found.v - v) / h)
+
+    def _put(self, slot: int, found: SolveResult, a: np.ndarray) -> None:
+        self.stages.put(slot, *(np.ascontiguousarray(array, self.stages.kind) for array in (found.x, found.v, a)))
+
+    def _walls(self, x: np.ndarray, v: np.ndarray, t: float, w: float) -> Walls:
+        assert self.solver
+        return Walls(self.contact, x, v, t=t, w=w, length=self.solver.length)
+
+    def _stopped(self, found: SolveResult, x: np.ndarray, v: np.ndarray, t: float, w: float) -> SolveResult:
+        """Return a solution of a stage that enters no collider, from one that may, which is returned if it does not."""
+        walls = self._walls(x, v, t, w)
+        for _ in range(ROUNDS):
+            if not walls.take(found):
+                break
+            found = self._solution(x, walls.vbar, w, t, linear=False, walls=walls.normals, speeds=walls.speeds)
+        return found
+
+    def _solution(self, x: np.ndarray, v: np.ndarray, w: float, t: float, *, linear: bool, **walls: Any) -> SolveResult:
         assert self.solver
         found = self.solver.solve(
-            x, v, w, extra_acceleration=lambda x, v: self.stages.outside(x, v, t), linear=linear, held=held
+            x, v, w, extra_acceleration=lambda x, v: self.stages.outside(x, v, t), linear=linear, **walls
         )
         self.iterations += np.array([found.iterations, found.linear_iterations])
         if not found.converged:

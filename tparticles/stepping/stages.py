@@ -221,7 +221,9 @@ class Stages:
     @ti.func
     def _touch(self, i, t, h, dt, at_contact):
         met = 0
-        if ti.static(self.exact):
+        if ti.static(self.table.implicit):
+            met = self.contact.stop(i, t + h)
+        elif ti.static(self.exact):
             if at_contact:
                 self.contact.settle(i, t + h)
                 # a bounce that ends within a step is none
