@@ -53,8 +53,12 @@ def test_a_spec_is_a_frozen_dataclass_with_defaults():
     assert vehicle == Vehicle(speed=3.0) and hash(vehicle) == hash(Vehicle(speed=3.0))
     assert dataclasses.replace(vehicle, mass=2).mass == 2.0
     assert pickle.loads(pickle.dumps(vehicle)) == vehicle
-    with pytest.raises(dataclasses.FrozenInstanceError):
+    assert vehicle != Vehicle(speed=4.0) and vehicle != Wheel()
+    assert repr(Wheel(radius=2)) == "Wheel(radius=2.0)"
+    with pytest.raises(dataclasses.FrozenInstanceError, match="cannot assign to field 'speed'"):
         vehicle.speed = 4.0
+    with pytest.raises(dataclasses.FrozenInstanceError, match="cannot delete field 'speed'"):
+        del vehicle.speed
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float64(2), np.float32(2), np.int32(2)])

@@ -83,7 +83,7 @@ CASES = [(name, True) for name in ("rk4", "velocity-verlet", "yoshida4", "ab2")]
 @pytest.mark.parametrize(("scheme", "serial"), CASES)
 def test_rows_hold_state_and_slope(cpu64, monkeypatch, scheme, serial):
     if not serial:
-        monkeypatch.setattr(staged, "_SERIAL", 0)
+        monkeypatch.setattr(staged, "_WAKE", 0)
     found, motion = run(scheme, Request())
     assert motion.stepper.serial is serial
     assert [row[0] for row in found] == list(range(23))

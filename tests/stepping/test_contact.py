@@ -123,7 +123,8 @@ def test_a_stiff_box_lands_without_a_gain_and_comes_to_rest_under_an_implicit_sc
         x, v = bench.system.read()
         energy.append(sum(energies(mesh, x, v, whole, np.array([0.0, 0.0, -9.81])).values()))
         assert x[:, 2].min() > -1e-8
-    assert max(energy) < energy[0] * 1.003
+    # a box that spins between two steps keeps its energy on average only, under the midpoint rule
+    assert max(energy) < energy[0] * (1.003 if scheme == "implicit-midpoint" else 1.0001)
     # it lies on a face; the linearised scheme is still about to
     rest = 1e-2 if scheme == "semi-implicit-euler" else 1e-3
     assert abs(energy[-1] - energy[-2]) < rest * energy[0] and np.sort(x[:, 2])[:4].max() < 20 * rest

@@ -8,6 +8,7 @@ from mesh_bench import FRAME, motion, right_hand_side, run
 
 import tparticles as tp
 from tparticles import backend, schemes
+from tparticles.stepping import staged
 
 pytestmark = pytest.mark.usefixtures("cpu64")
 
@@ -227,14 +228,18 @@ def test_what_was_saved_goes_on_with_the_same_bits():
         assert np.array_equal(again.system.read(), wanted)
 
 
-def test_threads_do_not_change_a_bit():
+@pytest.mark.parametrize("colliders", [(), tp.Ball(radius=0.5)], ids=["free", "ball"])
+def test_threads_do_not_change_a_bit(monkeypatch, colliders):
+    # one launch for all steps, and one for every pass
     states = []
+    monkeypatch.setattr(staged, "_WAKE", 0)
+    gusts = tp.CurlNoise(speed=2.0, length=1.0, drift=(3.0, 0.0, 0.0), period=1.0)
     for threads in (1, 2):
         backend.stop()
         backend.start(arch="cpu", threads=threads, precision="f32")
         mesh = tp.cloth(counts=(160, 140), stiffness=1.0).turned((1, 1, 0), 30).moved((0, 0, 1))
-        bench = motion(mesh, colliders=tp.Ball(radius=0.5), dt=1 / 960)
-        assert not bench.stepper.serial
+        bench = motion(mesh, colliders=colliders, forces=(tp.Gravity(), tp.Drag(time=0.1, flow=gusts)), dt=1 / 960)
+        assert bench.stepper.serial is (threads == 1)
         run(bench, 2)
         states.append(bench.system.read())
     backend.stop()

@@ -148,20 +148,11 @@ class MeshSolver:
             Of vertices in contact: the unit vector (n, 3) across which they move with the speed [m/s] (n,) this time; 0 for all
             others. They count as a million million times heavier in that direction, so that the matrix keeps its pattern.
         """
-        if walls is not None:
-            ours, self.springs = self.springs, replace(self.springs, walls=_by_component(walls))
-            try:
-                stage = _Stage(self.springs, zbar_x, zbar_v, h, extra_acceleration, self.length, speeds)
-                return self._solve(stage, zbar_x, zbar_v, linear=linear, start=start)
-            finally:
-                self.springs = ours
-        stage = _Stage(self.springs, zbar_x, zbar_v, h, extra_acceleration, self.length)
-        return self._solve(stage, zbar_x, zbar_v, linear=linear, start=start)
-
-    def _solve(self, stage: _Stage, zbar_x: Array, zbar_v: Array, *, linear: bool, start: Array | None) -> SolveResult:
+        springs = self.springs if walls is None else replace(self.springs, walls=_by_component(walls))
+        stage = _Stage(springs, zbar_x, zbar_v, h, extra_acceleration, self.length, speeds)
         if not stage.finite:
             return SolveResult(np.asarray(zbar_x), np.asarray(zbar_v), 0, 0, np.inf, False, "none")
-        method = self._choose(stage.h)
+        method = self._choose(h)
         tolerance = self.tolerance or (0.1 if np.result_type(zbar_x, zbar_v) == np.float32 else 1e-10)
         with np.errstate(over="ignore", invalid="ignore"):  # reported as not converged
             if linear:
@@ -170,27 +161,27 @@ class MeshSolver:
 
     def _solve_linear(self, stage: _Stage, method: str) -> SolveResult:
         """(m - h D - h^2 K) dv = h (f + h K vbar), with everything taken at (xbar, vbar)."""
-        h, v = stage.h, stage.vbar
-        tension, length, u = self.springs.stretched(stage.xbar, v)
-        matrix = StepMatrix.assemble(self.springs, h, tension, length, u, stage.blocks(stage.xbar, v))
-        pull = self.springs.spread(tension * u) + h * self.springs.elastic(v, tension, length, u)
+        springs, h, v = stage.springs, stage.h, stage.vbar
+        tension, length, u = springs.stretched(stage.xbar, v)
+        matrix = StepMatrix.assemble(springs, h, tension, length, u, stage.blocks(stage.xbar, v))
+        pull = springs.spread(tension * u) + h * springs.elastic(v, tension, length, u)
         # The extra acceleration at x + h vbar: its own derivative by x, applied to h vbar, is in it.
-        b = h * (self.springs.mass * self.springs.free * stage.extra(stage.position(v), v) - pull)
+        b = h * (springs.mass * springs.free * stage.extra(stage.position(v), v) - pull)
         dv, count, good = self._linear_solve(matrix, b, method, _CG_LINEAR, np.inf)
         left = float(np.abs(matrix @ dv - b).max(initial=0.0) / (np.abs(b).max(initial=0.0) or 1.0))
-        there = _look(stage, v + dv, tension)
-        return stage.result(there, 1, count, left, good and bool(np.isfinite(left)), method)
+        return stage.result(v + dv, 1, count, left, good and bool(np.isfinite(left)), method)
 
     def _solve_newton(self, stage: _Stage, method: str, tolerance: float, v: Array) -> SolveResult:
-        v = np.where(self.springs.free, v, stage.vbar)
-        turning = np.zeros(len(self.springs.rest)) if self.tension is None else self.tension
+        springs = stage.springs
+        v = np.where(springs.free, v, stage.vbar)
+        turning = np.zeros(len(springs.rest)) if self.tension is None else self.tension
         now = _look(stage, v, turning)
         blocks = stage.blocks(stage.position(v), v)
         count, iteration = 0, 0
-        remainder = 0.3 * tolerance / _BALANCE_WEIGHT * stage.size / stage.h * self.springs.mass
+        remainder = 0.3 * tolerance / _BALANCE_WEIGHT * stage.size / stage.h * springs.mass
         while np.isfinite(now.misfit) and iteration < _NEWTON_LIMIT:
-            steady = steadied(self.springs, now.turning, now.length, now.u)
-            matrix = StepMatrix.assemble(self.springs, stage.h, steady, now.length, now.u, blocks)
+            steady = steadied(springs, now.turning, now.length, now.u)
+            matrix = StepMatrix.assemble(springs, stage.h, steady, now.length, now.u, blocks)
             dv, inner, good = self._linear_solve(matrix, -now.imbalance, method, _CG_NEWTON, remainder)
             iteration, count = iteration + 1, count + inner
             if not good:
@@ -198,8 +189,8 @@ class MeshSolver:
             now = _search(stage, now, dv)
             if now.misfit <= tolerance:
                 self.tension = now.turning
-                return stage.result(now, iteration, count, now.misfit, True, method)
-        return stage.result(now, iteration, count, now.misfit, False, method)
+                return stage.result(now.v, iteration, count, now.misfit, True, method, stage.pushes(now))
+        return stage.result(now.v, iteration, count, now.misfit, False, method)
 
     def _linear_solve(
         self, matrix: StepMatrix, b: Array, method: str, tolerance: float, left
@@ -278,18 +269,28 @@ class _Stage:
         nudge = float(np.sqrt(np.finfo(self._kinds[1]).eps)) * speed
         return acceleration_blocks(self.extra, x, v, self.h, self.springs, nudge)
 
+    def pushes(self, there: _Iterate) -> Array | float:
+        """Return the speed that its wall gave each vertex, beside springs and the extra acceleration."""
+        if self.springs.walls is None:
+            return 0.0
+        pull = self.springs.spread(there.turning * there.u) / self.springs.mass
+        given = there.v - self.loose + self.h * (pull - self.extra(self.position(there.v), there.v))
+        return (self.springs.walls * given).sum(axis=0)
+
     def result(
-        self, there: _Iterate, iterations: int, count: int, residual: float, converged: bool, method: str
+        self,
+        v: Array,
+        iterations: int,
+        count: int,
+        residual: float,
+        converged: bool,
+        method: str,
+        pushes: Array | float = 0.0,
     ) -> SolveResult:
-        """Return x and v vertex by vertex, as precise as they came, and what the walls did."""
-        v, walls = there.v, self.springs.walls
-        position = self.position(v)
-        x, v_out = (np.ascontiguousarray(a.T, kind) for a, kind in zip((position, v), self._kinds, strict=True))
-        pushes: Array | float = 0.0
-        if walls is not None:
-            pull = self.springs.spread(there.turning * there.u) / self.springs.mass
-            pushes = (walls * (v - self.loose + self.h * (pull - self.extra(position, v)))).sum(axis=0)
-        return SolveResult(x, v_out, iterations, count, residual, converged, method, pushes)
+        """Return x and v vertex by vertex, as precise as they came."""
+        x = np.ascontiguousarray(self.position(v).T, self._kinds[0])
+        v = np.ascontiguousarray(v.T, self._kinds[1])
+        return SolveResult(x, v, iterations, count, residual, converged, method, pushes)
 
 
 def _look(stage: _Stage, v: Array, turning: Array) -> _Iterate:

@@ -1,8 +1,9 @@
 """The staged executor: a spring mesh advanced stage by stage, with the whole mesh as the barrier between them.
 
 `for sub-step: for pass: for block of vertices`, where a pass is an evaluation and all ops up to the next. A small mesh runs all
-sub-steps of a frame in one serial launch: a launch costs more than a pass over some thousand vertices. A large one takes a launch
-for every pass. A scheme with an implicit stage is walked on the host, which hands the stage to a linear solver.
+sub-steps of a frame in one serial launch: to wake threads for a pass takes longer than what they save. A large one takes a launch
+for every pass. Both give the same bits. A scheme with an implicit stage is walked on the host, which hands the stage to a linear
+solver.
 
 A mesh is one system: a contact, or a step of another size, makes the past worthless for all of it, and the starter runs again.
 """
@@ -30,7 +31,7 @@ from .stages import SOLVE, Stages
 from .table import Table
 from .walls import ROUNDS, Walls
 
-_SERIAL = 20_000  # vertices: below it one thread is faster than a launch for every op
+_WAKE = 35_000  # vertices that a thread does a pass over while others are woken for it
 _LAUNCH = 20_000_000  # vertex-steps in a serial launch, about a second: Ctrl-C waits for it
 _PICTURE = 0.1  # tolerance of an implicit stage in f32, as a part of a spring: below a pixel, where a spring is some pixels long
 _HALVINGS = 10  # of a step that has no solution
@@ -85,7 +86,8 @@ class StagedStepper:
         self.programs = self.passes.programs()
         self.ends = contact.any or system.tears  # whether more ends a step than what the scheme says
         self.plain = not (self.ends or self.drives or recorder or self.table.implicit)
-        self.serial = backend.current().is_cpu and system.count <= _SERIAL and not self.table.implicit
+        saved = system.count * (1.0 - 1.0 / backend.current().threads)  # vertices that other threads would do
+        self.serial = backend.current().is_cpu and saved <= _WAKE and not self.table.implicit
         self.held, self.fresh, self.last_h, self.began = 0, 0, 0.0, 0.0
         self.contacts, self.rejected = 0, 0  # bounces and halved steps so far
         self.iterations = np.zeros(2, np.int64)  # of Newton's method and of its linear systems, so far

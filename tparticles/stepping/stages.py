@@ -76,22 +76,22 @@ class Stages:
     def walk(
         self,
         t0: ti.f64,
-        h: float,
+        dt: ti.f64,
         passes: ti.types.ndarray(dtype=ti.i32, ndim=2),
         steps: ti.types.ndarray(dtype=ti.i32, ndim=2),
         values: ti.types.ndarray(ndim=1),
     ):
-        """Take steps of `h` from `t0` [s] that nothing comes between, on one thread.
+        """Take steps of `dt` from `t0` [s] that nothing comes between, on one thread.
 
         `steps`, (m, 3): so many times, the passes from here, to there.
         """
         ti.static(self.system.parameters.read_from(values))
         ti.loop_config(serialize=True)
         for _ in range(1):
-            page, step = 0, 0
+            page, step, h = 0, 0, ti.cast(dt, float)
             for kind in range(steps.shape[0]):
                 for _again in range(steps[kind, 0]):
-                    t = ti.cast(t0 + step * ti.cast(h, ti.f64), float)
+                    t = ti.cast(t0 + step * dt, float)
                     page = self._passes(page, passes, steps[kind, 1], steps[kind, 2], t, h)
                     step += 1
             self._turn_all(page)
@@ -100,7 +100,7 @@ class Stages:
     def run(
         self,
         t0: ti.f64,
-        dt: float,
+        h: ti.f64,
         count: ti.i32,
         held0: ti.i32,
         fresh0: ti.i32,
@@ -116,7 +116,7 @@ class Stages:
         met_at: ti.types.ndarray(dtype=ti.f64, ndim=2),
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
     ) -> ti.types.vector(3, ti.i32):
-        """Take `count` steps of `dt` from `t0` [s] with what comes between them, on one thread.
+        """Take `count` steps of `h` from `t0` [s] with what comes between them, on one thread.
 
         Return how many steps the past holds, whether k_0 is known, and how many vertices bounced.
         """
@@ -125,11 +125,12 @@ class Stages:
         ti.loop_config(serialize=True)
         for _ in range(1):
             for step in range(count):
+                dt = ti.cast(h, float)
                 left, events = dt, 0
                 if ti.static(self.drives):
                     self._aim(step, dt, driven, paths)
                 while left > 0.0:
-                    t = ti.cast(t0 + step * ti.cast(dt, ti.f64), float) + (dt - left)
+                    t = ti.cast(t0 + step * h, float) + (dt - left)
                     starting = ti.select(held < self.steps_back, 1, 0)
                     if ti.static(self.records):
                         if (events == 0) & self.recorder.wants(step, due):

@@ -189,14 +189,12 @@ class SpringMesh:
         """f_i = sum_j (k (l - l0) + c d.(v_j - v_i) / l) d / l with d = x_j - x_i, l = |d|."""
         first = block * b.lanes
         for e in range(self.starts[first // LANES], self.starts[first // LANES + 1]):
+            there = -1
             if ti.static(self.straight):
                 there = self.row_first[e]
                 if there >= 0:
                     self._pull_row(b, e, away + there)
-                else:
-                    for lane in range(b.lanes):
-                        self._pull_entry(b, lane, e * LANES + lane, away)
-            else:
+            if there < 0:
                 for lane in range(b.lanes):
                     self._pull_entry(b, lane, e * LANES + first % LANES + lane, away)
         if ti.static(self.overflows):
