@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 from conftest import FRAMES, Film, film, refused
@@ -109,18 +110,16 @@ def test_chosen_steps_and_vertices(logged: Film, log: Log):
         assert np.array_equal(box.energy[3], whole.energy[21])
 
 
+def header(vertices: int) -> dict:
+    """Return what a log is told of a mesh of vertices in a row."""
+    arrays = {name: np.ones(vertices) for name in ("mass", "rest", "stiffness", "damping")}
+    arrays |= {"id": np.arange(vertices), "springs": np.array([[0, 1]]), "faces": np.zeros((0, 3))}
+    attributes = {"vertices": vertices, "scheme": "rk4"}
+    return {"name": "two", "vertices": vertices, "kind": "f4", "attributes": attributes, "arrays": arrays}
+
+
 def test_the_file_follows_what_it_is_told(tmp_path):
-    mesh = {"name": "two", "vertices": 2, "kind": "f4", "attributes": {"vertices": 2, "scheme": "rk4"}}
-    arrays = {
-        "id": [0, 1],
-        "mass": [1.0, 1.0],
-        "springs": [[0, 1]],
-        "rest": [1.0],
-        "stiffness": [1.0],
-        "damping": [0.0],
-    }
-    mesh["arrays"] = {name: np.array(values) for name, values in (arrays | {"faces": np.zeros((0, 3))}).items()}
-    writer = LogWriter(tmp_path / "log.h5", {"groups": ["two"]}, [mesh], [])
+    writer = LogWriter(tmp_path / "log.h5", {"groups": ["two"]}, [header(2)], [])
     (sink,) = writer.sinks
 
     def give(first: int, count: int) -> None:
@@ -145,6 +144,39 @@ def test_the_file_follows_what_it_is_told(tmp_path):
             [10.0 * n + d for n in range(9) for d in (0.5, 0.6)] + [85.5, 85.6]
         )
         assert (two.torn(84.0).tolist(), two.torn(85.0).tolist()) == ([], [0])
+
+
+def test_what_does_not_get_smaller_is_not_compressed(tmp_path):
+    vertices = 4096
+    noise = np.random.default_rng(0).random((40, 3, vertices), np.float32)
+    calm = np.full_like(noise, 0.5)
+    writer = LogWriter(tmp_path / "log.h5", {"groups": ["two"]}, [header(vertices)], [])
+    (sink,) = writer.sinks
+
+    def give(first: int, last: int) -> None:
+        rows, count = sink.take(), last - first
+        rows.step[:count] = rows.time[:count] = np.arange(first, last)
+        rows.dt[:count], rows.filled = 1.0, count
+        for n, values in enumerate((noise, calm, noise if first < 20 else calm)):
+            rows.state[n, :count] = values[first:last]
+        sink.give(rows)
+
+    # chunks of 5 rows: whole ones, parts, more than one of either, rows that are taken back
+    for first, last in ((0, 15), (15, 17), (17, 31), (31, 32), (32, 38)):
+        give(first, last)
+    sink.rewind(23, 23.0)
+    give(23, 40)
+    writer.close(complete=True)
+    with Log(tmp_path / "log.h5") as log:
+        two = log.meshes["two"]
+        wanted = [noise, calm, np.concatenate([noise[:23], calm[23:]])]
+        for row in range(40):
+            state = two.state(row)
+            for found, values in zip((state.x, state.v, state.a), wanted, strict=True):
+                assert np.array_equal(found.T, values[row])
+    with h5py.File(tmp_path / "log.h5") as file:
+        x, v, a = (file["meshes/two"][name].id.get_storage_size() / noise.nbytes for name in "xva")
+    assert v < 0.05 < 0.5 < a < 0.8 < x < 1.05
 
 
 @pytest.mark.parametrize(("text", "found"), [("0-3", [0, 1, 2, 3]), ("4,1-2, 2", [1, 2, 4]), ("7", [7])])

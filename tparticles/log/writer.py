@@ -23,6 +23,9 @@ from ..output.files import temporary_path
 from . import layout
 
 _CACHE = 64 << 20  # bytes of chunks that are not full yet
+_WORTH = (
+    0.75  # of the size: what compresses to more is not compressed, which takes several times as long as to write it
+)
 
 
 def main() -> None:
@@ -165,6 +168,21 @@ class _Writer:
             array[count:] = values
             array.flush()
 
+    def _append_state(self, array: Any, values: np.ndarray) -> None:
+        """Do as `_append` for many rows; their first whole chunk tells whether the others are worth compressing."""
+        rows, count, more = array.chunks[0], len(array), len(values)
+        at = -(-count // rows) * rows  # where the first whole chunk begins
+        self._append(array, values[: at + rows - count])
+        left = values[at + rows - count :]
+        if len(left) >= rows:
+            size = array.id.get_chunk_info_by_coord((at, 0, 0)).size
+            if size > _WORTH * array.dtype.itemsize * math.prod(array.chunks):
+                array.resize(count + more - len(left) % rows, axis=0)
+                for n in range(0, len(left) - rows + 1, rows):
+                    array.id.write_direct_chunk((at + rows + n, 0, 0), left[n : n + rows], filter_mask=1)
+                left = left[len(left) - len(left) % rows :]
+        self._append(array, left)
+
     def _write_rows(self, mesh: int, block: int, filled: int) -> None:
         group, rows = self._meshes[mesh], self._blocks[mesh][block]
         met = int(rows.events[0, 0])
@@ -173,7 +191,7 @@ class _Writer:
         if met > len(events):
             group["contacts_lost"][()] += met - len(events)
         for place, name in enumerate(layout.STATE):
-            self._append(group[name], rows.state[place, :filled])
+            self._append_state(group[name], rows.state[place, :filled])
         for name in ("energy", "dt", "time", "step"):  # `step` last: a reader counts rows by it
             self._append(group[name], getattr(rows, name)[:filled])
 

@@ -149,9 +149,13 @@ class BlockPasses:
             if ti.static(_ROTATE in self.table.kinds):
                 if kind == _ROTATE:
                     to, source = self.ops[op, 1] * away + i, self.ops[op, 2] * away + i
-                    for lane in range(b.lanes):
-                        for d in ti.static(range(len(self.system.k))):
-                            self.system.k[d][to + lane] = self.system.k[d][source + lane]
+                    for d in ti.static(range(0 if self.moves else 3, len(self.system.k))):
+                        # through a local vector: for all that the compiler knows, the registers overlap
+                        moved = ti.Vector([0.0] * self.system.lanes)
+                        for lane in range(b.lanes):
+                            moved[lane] = self.system.k[d][source + lane]
+                        for lane in range(b.lanes):
+                            self.system.k[d][to + lane] = moved[lane]
             if ti.static(_DIFFERENCE in self.table.kinds):
                 if kind == _DIFFERENCE:
                     to = self.ops[op, 1] * away + i

@@ -87,6 +87,19 @@ class Contact:
         return s
 
     @ti.func
+    def near(self, block, t):
+        """Return whether a vertex of a block rests on a collider, or is at one: where none is, nothing else here does anything."""
+        found = 0
+        for lane in range(self.system.lanes):
+            i = block * self.system.lanes + lane
+            x = ti.Vector([self.system.z[d][i] for d in ti.static(range(3))])
+            found |= self.touching[i]
+            for _n, shape, surface in ti.static(self.colliders):
+                # more than any of them asks for: the compiler may round otherwise there
+                found |= ti.select(self._distance(shape, x - t * surface.velocity) < ti.static(8 * self.slack), 1, 0)
+        return found != 0
+
+    @ti.func
     def entry(self, i, t, h):
         """Return the fraction of the step z0 -> z at which vertex `i` first enters a collider that it does not rest on, or 2."""
         x0, v0 = self._state(self.system.z0, i)
@@ -233,7 +246,10 @@ class Contact:
     @ti.func
     def press(self, b: ti.template(), block, t, h):
         """Give resting vertices the force of the surface: no acceleration into it, and Coulomb's friction along it."""
+        rests = 0
         for lane in range(b.lanes):
+            rests |= self.touching[block * b.lanes + lane]
+        for lane in range(ti.select(rests != 0, b.lanes, 0)):
             i = block * b.lanes + lane
             if self.touching[i] > 0:
                 x = ti.Vector([b.z[d][lane] for d in ti.static(range(3))])

@@ -124,12 +124,13 @@ class Recorder:
     @ti.func
     def row(self, n, slot, state: ti.template(), energy: ti.template(), chosen: ti.template()):
         """Record the present state with the slope in register `slot` as row `n`, on one thread."""
-        total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
+        lanes = ti.static(self.system.lanes)
+        total = [ti.Vector([0.0] * lanes, ti.f64) for _ in range(3)]
         for block in range(self.system.blocks):
-            total += self._block(block, n, energy.shape[0], slot, state)
+            self._block(block, n, energy.shape[0], slot, state, total)
         self._pick(n, energy.shape[0], slot, state, chosen)
         for e in ti.static(range(3)):
-            energy[n, e] = total[e]
+            energy[n, e] = total[e].sum()
 
     def record(self, slot: int) -> None:
         """Do as `row` for the next row, from the host."""
@@ -147,9 +148,10 @@ class Recorder:
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
     ):
         for block in range(self.system.blocks):
-            total = self._block(block, 0, 1, slot, state)
+            total = [ti.Vector([0.0] * self.system.lanes, ti.f64) for _ in range(3)]
+            self._block(block, 0, 1, slot, state, total)
             for e in ti.static(range(3)):
-                parts[block, e] = total[e]
+                parts[block, e] = total[e].sum()
         for _ in range(1):
             self._pick(0, 1, slot, state, chosen)
 
@@ -171,8 +173,8 @@ class Recorder:
                     events[at, 9 + d] = self.system.z[3 + d][i]
 
     @ti.func
-    def _block(self, block, n, rows, slot, state: ti.template()):
-        """Copy a block of vertices into row `n`; return its energies."""
+    def _block(self, block, n, rows, slot, state: ti.template(), total: ti.template()):
+        """Copy a block of vertices into row `n`; add their energies to `total`, lane by lane: a sum across lanes is slow."""
         lanes = ti.static(self.system.lanes)
         first = block * lanes
         away = slot * self.system.padded + first
@@ -198,13 +200,9 @@ class Recorder:
                 else:
                     for lane in range(self.system.count - first):
                         state[to + lane] = b.s[c][lane]
-        total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
-        for e in ti.static(range(3)):
-            part = ti.cast(0.0, float)
-            for lane in range(lanes):
-                part += b.e[e][lane]
-            total[e] = part
-        return total
+        for lane in range(lanes):
+            for e in ti.static(range(3)):
+                total[e][lane] += ti.cast(b.e[e][lane], ti.f64)
 
     @ti.func
     def _pick(self, n, rows, slot, state: ti.template(), chosen: ti.template()):

@@ -208,12 +208,15 @@ class Stages:
         """What ends a step: contacts and tears. Return how many vertices bounced."""
         met = 0
         if ti.static(self.contact.any):
-            for i in range(self.system.count):
-                before = ti.Vector([self.system.z[3 + d][i] for d in ti.static(range(3))])
-                bounced = self._touch(i, t, h, dt, at_contact)
-                if ti.static(self.records):
-                    self.recorder.bounce(bounced, step, after, i, before, met_at)
-                met += bounced
+            for block in range(self.system.blocks):
+                if self.contact.near(block, t + h):
+                    first = block * self.system.lanes
+                    for i in range(first, ti.min(first + self.system.lanes, self.system.count)):
+                        before = ti.Vector([self.system.z[3 + d][i] for d in ti.static(range(3))])
+                        bounced = self._touch(i, t, h, dt, at_contact)
+                        if ti.static(self.records):
+                            self.recorder.bounce(bounced, step, after, i, before, met_at)
+                        met += bounced
         if ti.static(self.system.tears):
             for block in range(self.system.blocks):
                 self.system.tear(block)

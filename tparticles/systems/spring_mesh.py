@@ -183,6 +183,8 @@ class SpringMesh:
             w = self.inverse_mass[block * b.lanes + lane]
             for d in ti.static(range(3)):
                 b.a[d][lane] = ti.select(w > 0.0, b.a[d][lane] + w * b.f[d][lane], 0.0)
+            if ti.static(self.tallies):
+                b.e[lane] *= 0.25  # of k (l - l0)^2
 
     @ti.func
     def _pull(self, b: ti.template(), block, away):
@@ -229,10 +231,10 @@ class SpringMesh:
         dx, dy, dz = self.z[0][j] - b.z[0][lane], self.z[1][j] - b.z[1][lane], self.z[2][j] - b.z[2][lane]
         square = dx * dx + dy * dy + dz * dz + tiny
         inverse = 1.0 / ti.sqrt(square)
-        pull = stiffness * (1.0 - rest * inverse)
+        stretch = 1.0 - rest * inverse
+        pull = stiffness * stretch
         if ti.static(self.tallies):
-            # k (l - l0)^2 / 4
-            b.e[lane] += 0.25 * pull * (1.0 - rest * inverse) * square
+            b.e[lane] += pull * stretch * square
         if ti.static(self.damped):
             along = (
                 dx * (self.z[3][j] - b.z[3][lane])
