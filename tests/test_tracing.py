@@ -82,7 +82,7 @@ def last(x):
     "function", [doubled, multi_line, Owner.method, last, tp.CurlNoise.velocity_pass, tp.Box.sample]
 )
 def test_sources_are_those_that_inspect_finds(function):
-    lines, first = tracing._source_lines(function.func.func)
+    lines, first, _ = tracing._source_lines(function.func.func)
     wanted, at = inspect.getsourcelines(function.func.func)
     assert ("".join(lines).rstrip(), first) == ("".join(wanted).rstrip(), at)
 

@@ -81,14 +81,14 @@ class _Source:
 
     def __init__(self, function: Any):
         self.file = inspect.getsourcefile(function)
-        lines, self.first = _source_lines(function)
+        lines, self.first, root = _source_lines(function)
         self.text = textwrap.dedent("".join(lines))
         self.lines = _Lines([line.rstrip() for line in lines])
-        self.spare: list[_Tree] = []
+        self.spare = [_Tree(self, root)] if root else []
 
     def tree(self) -> _Tree:
         """Return a tree that nobody uses: a function may be inlined in itself."""
-        return self.spare.pop() if self.spare else _Tree(self)
+        return self.spare.pop() if self.spare else _Tree(self, ast.parse(self.text))
 
 
 _NOTED = (ast.stmt, ast.expr, ast.keyword, ast.Slice, ast.comprehension)  # what Taichi leaves notes on, not operators
@@ -97,9 +97,8 @@ _NOTED = (ast.stmt, ast.expr, ast.keyword, ast.Slice, ast.comprehension)  # what
 class _Tree:
     """A parsed function. Tracing leaves notes on the nodes and takes the arguments of a kernel away."""
 
-    def __init__(self, source: _Source):
-        self.source = source
-        self.root = ast.parse(source.text)
+    def __init__(self, source: _Source, root: ast.Module):
+        self.source, self.root = source, root
         self._function: Any = self.root.body[0]
         self._function.decorator_list = []
         self._arguments = list(self._function.args.args)
@@ -114,8 +113,10 @@ class _Tree:
         self.source.spare.append(self)
 
 
-def _source_lines(function: Any) -> tuple[list[str], int]:
+def _source_lines(function: Any) -> tuple[list[str], int, ast.Module | None]:
     """Return what `inspect.getsourcelines` does, the lines of a function and the number of the first, without its tokeniser.
+
+    The third is what they parse to, if it took that to find them.
 
     A function ends before the first line that is indented no deeper than it is and with which what came before parses: within
     brackets or strings it would not.
@@ -130,11 +131,10 @@ def _source_lines(function: Any) -> tuple[list[str], int]:
         if begun and line and not line.startswith("#") and _indentation(lines[end]) <= margin:
             found = lines[first - 1 : end]
             try:
-                ast.parse(textwrap.dedent("".join(found)))
+                return found, first, ast.parse(textwrap.dedent("".join(found)))
             except SyntaxError:
                 continue
-            return found, first
-    return inspect.getsourcelines(function)
+    return *inspect.getsourcelines(function), None
 
 
 def _indentation(line: str) -> int:

@@ -23,9 +23,7 @@ from ..output.files import temporary_path
 from . import layout
 
 _CACHE = 64 << 20  # bytes of chunks that are not full yet
-_WORTH = (
-    0.75  # of the size: what compresses to more is not compressed, which takes several times as long as to write it
-)
+_WORTH = 0.75  # of the size: to compress takes several times as long as to write, and must pay
 
 
 def main() -> None:

@@ -124,13 +124,12 @@ class Recorder:
     @ti.func
     def row(self, n, slot, state: ti.template(), energy: ti.template(), chosen: ti.template()):
         """Record the present state with the slope in register `slot` as row `n`, on one thread."""
-        lanes = ti.static(self.system.lanes)
-        total = [ti.Vector([0.0] * lanes, ti.f64) for _ in range(3)]
+        total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
         for block in range(self.system.blocks):
-            self._block(block, n, energy.shape[0], slot, state, total)
+            total += self._block(block, n, energy.shape[0], slot, state)
         self._pick(n, energy.shape[0], slot, state, chosen)
         for e in ti.static(range(3)):
-            energy[n, e] = total[e].sum()
+            energy[n, e] = total[e]
 
     def record(self, slot: int) -> None:
         """Do as `row` for the next row, from the host."""
@@ -148,10 +147,9 @@ class Recorder:
         chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),
     ):
         for block in range(self.system.blocks):
-            total = [ti.Vector([0.0] * self.system.lanes, ti.f64) for _ in range(3)]
-            self._block(block, 0, 1, slot, state, total)
+            total = self._block(block, 0, 1, slot, state)
             for e in ti.static(range(3)):
-                parts[block, e] = total[e].sum()
+                parts[block, e] = total[e]
         for _ in range(1):
             self._pick(0, 1, slot, state, chosen)
 
@@ -173,8 +171,8 @@ class Recorder:
                     events[at, 9 + d] = self.system.z[3 + d][i]
 
     @ti.func
-    def _block(self, block, n, rows, slot, state: ti.template(), total: ti.template()):
-        """Copy a block of vertices into row `n`; add their energies to `total`, lane by lane: a sum across lanes is slow."""
+    def _block(self, block, n, rows, slot, state: ti.template()):
+        """Copy a block of vertices into row `n`; return its energies."""
         lanes = ti.static(self.system.lanes)
         first = block * lanes
         away = slot * self.system.padded + first
@@ -200,9 +198,13 @@ class Recorder:
                 else:
                     for lane in range(self.system.count - first):
                         state[to + lane] = b.s[c][lane]
-        for lane in range(lanes):
-            for e in ti.static(range(3)):
-                total[e][lane] += ti.cast(b.e[e][lane], ti.f64)
+        total = ti.Vector([0.0, 0.0, 0.0], ti.f64)
+        for e in ti.static(range(3)):
+            part = ti.cast(0.0, float)
+            for lane in range(lanes):
+                part += b.e[e][lane]
+            total[e] = part
+        return total
 
     @ti.func
     def _pick(self, n, rows, slot, state: ti.template(), chosen: ti.template()):
