@@ -168,17 +168,16 @@ class _Writer:
 
     def _append_state(self, array: Any, values: np.ndarray) -> None:
         """Do as `_append` for many rows; their first whole chunk tells whether the others are worth compressing."""
-        rows, count, more = array.chunks[0], len(array), len(values)
+        rows, count = array.chunks[0], len(array)
         at = -(-count // rows) * rows  # where the first whole chunk begins
-        self._append(array, values[: at + rows - count])
-        left = values[at + rows - count :]
-        if len(left) >= rows:
-            size = array.id.get_chunk_info_by_coord((at, 0, 0)).size
-            if size > _WORTH * array.dtype.itemsize * math.prod(array.chunks):
-                array.resize(count + more - len(left) % rows, axis=0)
-                for n in range(0, len(left) - rows + 1, rows):
-                    array.id.write_direct_chunk((at + rows + n, 0, 0), left[n : n + rows], filter_mask=1)
-                left = left[len(left) - len(left) % rows :]
+        tried, left = np.split(values, [at + rows - count])
+        self._append(array, tried)
+        whole = len(left) - len(left) % rows
+        if whole and array.id.get_chunk_info_by_coord((at, 0, 0)).size > _WORTH * tried[0].nbytes * rows:
+            array.resize(at + rows + whole, axis=0)
+            for n in range(0, whole, rows):
+                array.id.write_direct_chunk((at + rows + n, 0, 0), left[n : n + rows], filter_mask=1)
+            left = left[whole:]
         self._append(array, left)
 
     def _write_rows(self, mesh: int, block: int, filled: int) -> None:

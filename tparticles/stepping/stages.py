@@ -76,23 +76,23 @@ class Stages:
     def walk(
         self,
         t0: ti.f64,
-        dt: ti.f64,
+        h: ti.f64,
         passes: ti.types.ndarray(dtype=ti.i32, ndim=2),
         steps: ti.types.ndarray(dtype=ti.i32, ndim=2),
         values: ti.types.ndarray(ndim=1),
     ):
-        """Take steps of `dt` from `t0` [s] that nothing comes between, on one thread.
+        """Take steps of `h` from `t0` [s] that nothing comes between, on one thread.
 
         `steps`, (m, 3): so many times, the passes from here, to there.
         """
         ti.static(self.system.parameters.read_from(values))
         ti.loop_config(serialize=True)
         for _ in range(1):
-            page, step, h = 0, 0, ti.cast(dt, float)
+            page, step, dt = 0, 0, ti.cast(h, float)
             for kind in range(steps.shape[0]):
                 for _again in range(steps[kind, 0]):
-                    t = ti.cast(t0 + step * dt, float)
-                    page = self._passes(page, passes, steps[kind, 1], steps[kind, 2], t, h)
+                    t = ti.cast(t0 + step * h, float)
+                    page = self._passes(page, passes, steps[kind, 1], steps[kind, 2], t, dt)
                     step += 1
             self._turn_all(page)
 
