@@ -84,11 +84,12 @@ class LogWriter:
         with tempfile.NamedTemporaryFile(dir=_roomy_folder(size)) as file:  # its name goes, the memory stays
             file.truncate(size)
             self._memory = mmap.mmap(file.fileno(), size)
+            paths = os.pathsep.join([_PACKAGES, os.environ.get("PYTHONPATH", "")])
             self._process = subprocess.Popen(
                 [sys.executable, "-m", writer.__name__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join([_PACKAGES, os.environ.get("PYTHONPATH", "")])},
+                env=os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},  # its threads spin for a while
                 start_new_session=True,  # Ctrl-C is the simulation's, which then ends the log
             )
             shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]

@@ -23,7 +23,8 @@ from ..output.files import temporary_path
 from . import layout
 
 _CACHE = 64 << 20  # bytes of chunks that are not full yet
-_WORTH = 0.75  # of the size: to compress takes several times as long as to write, and must pay
+_AHEAD = 16 << 20  # bytes that may wait for the disk before it is set to work
+_WORTH = 0.5  # of the size: to compress takes several times as long as to write, and must pay
 
 
 def main() -> None:
@@ -87,6 +88,7 @@ class _Writer:
                 new.unlink(missing_ok=True)
                 raise
         self._file.swmr_mode = True
+        self._kept = 0  # the size up to which the file was left to the disk
 
     def _begin_with(self, old: Any, counts: Mapping[str, int]) -> None:
         """Copy the first rows of an earlier log."""
@@ -118,11 +120,23 @@ class _Writer:
                     reply("marked", self.marked())
                     continue
                 getattr(self, f"_write_{kind}")(*content)
+                self._leave_to_disk()
                 if kind == "rows":
                     reply("free", *content[:2])
         except (EOFError, pickle.UnpicklingError):
             pass  # it was killed
         self._file.close()
+
+    def _leave_to_disk(self) -> None:
+        """Have what was written brought to the disk, and the memory back of what has got there.
+
+        Nobody reads a log soon, and new memory for each of its pages may cost more than all else (a virtual machine first asks its
+        host for it).
+        """
+        size = self._file.id.get_filesize()
+        if size - self._kept > _AHEAD and hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(self._file.id.get_vfd_handle(), 0, 0, os.POSIX_FADV_DONTNEED)
+            self._kept = size
 
     def _growing(self, group: Any, name: str, shape: tuple[int, ...], kind: str) -> Any:
         """Make an array of rows of this shape."""
@@ -135,29 +149,29 @@ class _Writer:
         self._rows[array.name] = array
         return array
 
-    def _mesh(self, mesh: Mapping[str, Any]) -> Any:
+    def _mesh(self, mesh: Mapping[str, Any]) -> dict[str, Any]:
+        """Make the group of a mesh; return what grows, and its count of lost contacts."""
         group = self._file.create_group(f"meshes/{mesh['name']}")
         group.attrs.update(mesh["attributes"])
         for name, values in mesh["arrays"].items():
             group.create_dataset(name, data=values)
-        for name in layout.STATE:
-            self._growing(group, name, (3, len(mesh["arrays"]["id"])), mesh["kind"])
-        for name, kind in (("step", "i8"), ("time", "f8"), ("dt", "f8")):
-            self._growing(group, name, (), kind)
-        self._growing(group, "energy", (len(layout.ENERGIES),), "f8")
-        self._growing(group, "contacts", (len(layout.EVENT),), "f8")
-        self._growing(group, "torn", (2,), "f8")
-        group.create_dataset("contacts_lost", data=0)
-        return group
+        state = (3, len(mesh["arrays"]["id"])), mesh["kind"]
+        grows = dict.fromkeys(layout.STATE, state) | {"step": ((), "i8"), "time": ((), "f8"), "dt": ((), "f8")}
+        grows |= {
+            "energy": ((len(layout.ENERGIES),), "f8"),
+            "contacts": ((len(layout.EVENT),), "f8"),
+            "torn": ((2,), "f8"),
+        }
+        arrays = {name: self._growing(group, name, shape, kind) for name, (shape, kind) in grows.items()}
+        return arrays | {"contacts_lost": group.create_dataset("contacts_lost", data=0)}
 
-    def _group(self, particles: Mapping[str, Any]) -> Any:
+    def _group(self, particles: Mapping[str, Any]) -> dict[str, Any]:
+        """Make the group of a group of particles; return what grows."""
         group = self._file.create_group(f"particles/{particles['name']}")
         group.attrs.update(particles["attributes"])
-        for name, kind in (("frame", "i8"), ("time", "f8"), ("first", "i8"), ("count", "i8")):
-            self._growing(group, name, (), kind)
-        for name, (components, kind) in particles["columns"].items():
-            self._growing(group, f"columns/{name}", (components,), kind)
-        return group
+        grows = {"frame": ((), "i8"), "time": ((), "f8"), "first": ((), "i8"), "count": ((), "i8")}
+        grows |= {f"columns/{name}": ((components,), kind) for name, (components, kind) in particles["columns"].items()}
+        return {name: self._growing(group, name, shape, kind) for name, (shape, kind) in grows.items()}
 
     def _append(self, array: Any, values: Any) -> None:
         count, more = len(array), len(values)
