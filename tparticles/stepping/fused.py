@@ -276,11 +276,10 @@ class FusedStepper:
                             b.z[d][lane] += coefficients[op, 1] * b.h[lane] * b.z[3 + d][lane]
             if ti.static(self.table.rotates):
                 if kind == _ROTATE:
+                    going = ti.Vector([0] * ti.static(self.lanes))
                     for lane in range(b.lanes):
-                        for d in ti.static(range(len(self.state))):
-                            slope = b.k[d][ops[op, 2] * b.lanes + lane]
-                            held = b.k[d][ops[op, 1] * b.lanes + lane]
-                            b.k[d][ops[op, 1] * b.lanes + lane] = ti.select(b.h[lane] > 0.0, slope, held)
+                        going[lane] = ti.select(b.h[lane] > 0.0, 1, 0)
+                    self._rotate(b, op, ops, going)
             if ti.static(not self.table.implicit):
                 if kind == _EVALUATE:
                     self._evaluate(b, ops[op, 1] * b.lanes, coefficients[op, 0], span, start)
@@ -382,11 +381,34 @@ class FusedStepper:
     @ti.func
     def _shift(self, b: ti.template(), op, ops: ti.template()):
         """ROTATE and DIFFERENCE, for the lanes whose step is accepted."""
-        to, source = ops[op, 1] * b.lanes, ops[op, 2] * b.lanes
+        accepted = ti.Vector([0] * ti.static(self.lanes))
         for lane in range(b.lanes):
-            for d in ti.static(range(len(self.state))):
-                value = b.k[d][source + lane]
-                if ti.static(_DIFFERENCE in self.table.kinds):
-                    if ops[op, 0] == _DIFFERENCE:
+            accepted[lane] = ti.select(self.pace.accepted(b, lane), 1, 0)
+        if ti.static(_DIFFERENCE in self.table.kinds):
+            if ops[op, 0] == _DIFFERENCE:
+                for lane in range(b.lanes):
+                    for d in ti.static(range(len(self.state))):
                         value = (b.z[d][lane] - b.z0[d][lane]) / b.h[lane]
-                b.k[d][to + lane] = ti.select(self.pace.accepted(b, lane), value, b.k[d][to + lane])
+                        held = b.k[d][ops[op, 1] * b.lanes + lane]
+                        b.k[d][ops[op, 1] * b.lanes + lane] = ti.select(accepted[lane] > 0, value, held)
+            else:
+                self._rotate(b, op, ops, accepted)
+        else:
+            self._rotate(b, op, ops, accepted)
+
+    @ti.func
+    def _rotate(self, b: ti.template(), op, ops: ti.template(), taking: ti.template()):
+        """Copy a register, for the lanes that are `taking` it: mostly all of them, and then whole vectors."""
+        to, source = ops[op, 1] * b.lanes, ops[op, 2] * b.lanes
+        if taking.min() > 0:
+            for d in ti.static(range(len(self.state))):
+                values = ti.Vector([0.0] * ti.static(self.lanes))  # for all that LLVM knows, the registers overlap
+                for lane in range(b.lanes):
+                    values[lane] = b.k[d][source + lane]
+                for lane in range(b.lanes):
+                    b.k[d][to + lane] = values[lane]
+        else:
+            for lane in range(b.lanes):
+                if taking[lane] > 0:
+                    for d in ti.static(range(len(self.state))):
+                        b.k[d][to + lane] = b.k[d][source + lane]

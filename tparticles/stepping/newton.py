@@ -46,13 +46,14 @@ class Newton:
             "q": 3,
             "best": 3,  # the q of the smallest residual so far
             "residual": 3,
-            "matrix": 9,  # I - g df, by rows
+            "matrix": 9,  # I - g df by rows, then its inverse, or 0 where it has none
             "heat": 3,  # slope of T, its residual, 1 - g dq/dT
             "w": 1,  # weight of the stage
             "g": 1,
             "norm": 1,
             "damping": 1,
             "change": 1,  # of the unknown, in a column
+            "moved": 1,  # by how much the last whole step with this matrix changed q, 0 for none
             "waiting": 1,  # 1 until the lane is done
             "held": 1,  # the g that the matrix belongs to, 0 for none
             "chord": 1,  # 1 where it belongs to this g
@@ -76,6 +77,7 @@ class Newton:
             b.norm[lane] = ti.math.inf
             b.began[lane] = ti.math.inf
             b.damping[lane] = 1.0
+            b.moved[lane] = 0.0
             b.waiting[lane] = ti.select(b.h[lane] > 0.0, 1.0, 0.0)
             fits = (b.h[lane] > 0.0) & (linear == 0) & (ti.abs(g - b.held[lane]) <= 1e-6 * g)
             b.chord[lane] = ti.select(fits, 1.0, 0.0)
@@ -86,6 +88,7 @@ class Newton:
     @ti.func
     def digest(self, b: ti.template(), slot, r, linear):
         """Take in evaluation `r`, in register `slot`, and put z where the next one looks; return 1 when all lanes are done."""
+        # No branch within a loop over the lanes, and no two things that can be two loops: LLVM would not vectorise them.
         turn = ti.select(r < 0, _CYCLE, r % _CYCLE)
         if (turn == 0) | ((turn > 3) & (linear == 0)):
             for lane in range(b.lanes):
@@ -96,21 +99,30 @@ class Newton:
         else:
             for lane in range(b.lanes):
                 self._take_motion(b, lane, slot)
+        if turn == 0:
+            for lane in range(b.lanes):
+                self._choose_change(b, lane)
+        if turn == 3:
+            for lane in range(b.lanes):
+                self._invert(b, lane)
         if (turn > 3) | ((turn == 3) & (linear == 0)) | (r + 1 == self.rounds_linear) & (linear > 0):
             for lane in range(b.lanes):
                 self._step(b, lane, r, linear)
-        waiting = ti.cast(0.0, float)
-        for lane in range(b.lanes):
-            if turn < 3:
+        if turn < 3:
+            for lane in range(b.lanes):
                 self._place(b, lane, b.best, linear)
                 self._nudge(b, lane, turn)
-            elif (turn == 3) & (linear > 0):
+        elif (turn == 3) & (linear > 0):
+            for lane in range(b.lanes):
                 self._place(b, lane, b.best, linear)
                 self._nudge_along(b, lane)
-            else:
+        else:
+            for lane in range(b.lanes):
                 self._place(b, lane, b.q, 0)
-            waiting = ti.max(waiting, b.waiting[lane])
-        return ti.select(waiting > 0.0, 0, 1)
+        waiting = 0
+        for lane in range(b.lanes):
+            waiting |= ti.select(b.waiting[lane] > 0.0, 1, 0)
+        return 1 - waiting
 
     @ti.func
     def finish(self, b: ti.template(), slot):
@@ -141,13 +153,12 @@ class Newton:
         """Move the unknown's `column` by `change`, and x with it."""
         change = b.change[lane]
         for d in ti.static(range(3)):
-            if column == d:
-                b.z[self.first + d][lane] += change
-                if ti.static(self.first == 3):
-                    b.z[d][lane] += b.g[lane] * change
+            by = ti.select(column == d, change, 0.0)
+            b.z[self.first + d][lane] += by
+            if ti.static(self.first == 3):
+                b.z[d][lane] += b.g[lane] * by
         if ti.static(self.heated):
-            if column == 0:
-                b.z[self.components - 1][lane] += self._warmer(b, lane)
+            b.z[self.components - 1][lane] += ti.select(column == 0, self._warmer(b, lane), 0.0)
 
     @ti.func
     def _nudge_along(self, b: ti.template(), lane):
@@ -173,15 +184,20 @@ class Newton:
         # the first new columns begin with a whole step
         whole = better | (r == 0) | ~takes
         b.damping[lane] = ti.select(whole, 1.0, 0.5 * b.damping[lane])
-        size = ti.cast(0.0, float)
         for d in ti.static(range(3)):
             b.best[d][lane] = ti.select(better, b.q[d][lane], b.best[d][lane])
             b.residual[d][lane] = ti.select(better, found[d], b.residual[d][lane])
-            size = ti.max(size, ti.abs(b.zbar[self.first + d][lane]))
-        did = b.g[lane] * ti.sqrt(norm)
-        b.change[lane] = ti.max(ti.static(self.nudge) * did, ti.static(self.least) * size) + 1e-12
         if ti.static(self.heated):
             b.heat[1][lane] = b.heat[0][lane] - b.k[self.components - 1][slot + lane]
+
+    @ti.func
+    def _choose_change(self, b: ti.template(), lane):
+        """Say how far the columns look."""
+        size = ti.cast(0.0, float)
+        for d in ti.static(range(3)):
+            size = ti.max(size, ti.abs(b.zbar[self.first + d][lane]))
+        did = b.g[lane] * ti.sqrt(b.norm[lane])
+        b.change[lane] = ti.max(ti.static(self.nudge) * did, ti.static(self.least) * size) + 1e-12
 
     @ti.func
     def _take_column(self, b: ti.template(), lane, slot, column):
@@ -192,14 +208,12 @@ class Newton:
             here = b.best[d][lane] - b.residual[d][lane]
             slope = (b.k[self.first + d][slot + lane] - here) / b.change[lane]
             for e in ti.static(range(3)):
-                if column == e:
-                    entry = ti.static(1.0 if d == e else 0.0) - b.g[lane] * slope
-                    b.matrix[3 * d + e][lane] = ti.select(waiting, entry, b.matrix[3 * d + e][lane])
+                entry = ti.static(1.0 if d == e else 0.0) - b.g[lane] * slope
+                b.matrix[3 * d + e][lane] = ti.select(waiting & (column == e), entry, b.matrix[3 * d + e][lane])
         if ti.static(self.heated):
-            if column == 0:
-                here = b.heat[0][lane] - b.heat[1][lane]
-                slope = (b.k[self.components - 1][slot + lane] - here) / self._warmer(b, lane)
-                b.heat[2][lane] = ti.select(waiting, 1.0 - b.g[lane] * slope, b.heat[2][lane])
+            here = b.heat[0][lane] - b.heat[1][lane]
+            slope = (b.k[self.components - 1][slot + lane] - here) / self._warmer(b, lane)
+            b.heat[2][lane] = ti.select(waiting & (column == 0), 1.0 - b.g[lane] * slope, b.heat[2][lane])
 
     @ti.func
     def _take_motion(self, b: ti.template(), lane, slot):
@@ -209,24 +223,38 @@ class Newton:
             b.residual[d][lane] -= b.k[self.first + d][slot + lane] - here
 
     @ti.func
-    def _step(self, b: ti.template(), lane, r, linear):
-        """q = best - damping (I - g df)^-1 residual; done if that moves z by no more than rounding and tolerance."""
-        # Scaled to entries of at most 1, so that no product of three overflows; then Cramer's rule.
+    def _invert(self, b: ti.template(), lane):
+        """Put the inverse in the matrix's place, by Cramer's rule."""
+        # Scaled to entries of at most 1, so that no product of three overflows.
         largest = ti.cast(0.0, float)
         for i in ti.static(range(9)):
             largest = ti.max(largest, ti.abs(b.matrix[i][lane]))
         scale = ti.select(largest > 0.0, 1.0 / largest, 0.0)
-        rows = [
-            ti.Vector([b.matrix[3 * i + j][lane] * scale for j in ti.static(range(3))]) for i in ti.static(range(3))
+        columns = [
+            ti.Vector([b.matrix[3 * i + j][lane] * scale for i in ti.static(range(3))]) for j in ti.static(range(3))
         ]
-        left = ti.Vector([b.residual[d][lane] * scale for d in ti.static(range(3))])
-        columns = [ti.Vector([rows[i][j] for i in ti.static(range(3))]) for j in ti.static(range(3))]
-        across = columns[1].cross(columns[2])
-        det = columns[0].dot(across)
-        inverse = ti.select(det != 0.0, 1.0 / det, 0.0)
-        step = inverse * ti.Vector(
-            [left.dot(across), left.dot(columns[2].cross(columns[0])), left.dot(columns[0].cross(columns[1]))]
-        )
+        rows = [columns[(i + 1) % 3].cross(columns[(i + 2) % 3]) for i in ti.static(range(3))]
+        det = columns[0].dot(rows[0])
+        factor = ti.select(det != 0.0, scale / det, 0.0)
+        waiting = b.waiting[lane] > 0.0
+        b.moved[lane] = ti.select(waiting, 0.0, b.moved[lane])
+        for i in ti.static(range(3)):
+            for j in ti.static(range(3)):
+                b.matrix[3 * i + j][lane] = ti.select(waiting, factor * rows[i][j], b.matrix[3 * i + j][lane])
+
+    @ti.func
+    def _step(self, b: ti.template(), lane, r, linear):
+        """q = best - damping (I - g df)^-1 residual; done if what is left is no more than rounding and tolerance.
+
+        Two whole steps with one matrix tell how much is left after the second: the ratio of their lengths is the rate at which
+        the error shrinks (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.8, equation 8.10).
+        """
+        step = [
+            b.matrix[3 * i][lane] * b.residual[0][lane]
+            + b.matrix[3 * i + 1][lane] * b.residual[1][lane]
+            + b.matrix[3 * i + 2][lane] * b.residual[2][lane]
+            for i in ti.static(range(3))
+        ]
         waiting = (b.waiting[lane] > 0.0) & ((r >= 0) | (b.chord[lane] > 0.0))
         full = b.damping[lane] == 1.0
         moved = size = slope = ti.cast(0.0, float)
@@ -235,10 +263,15 @@ class Newton:
             moved = ti.max(moved, ti.abs(step[d]))
             slope = ti.max(slope, ti.abs(b.q[d][lane]))
             size = ti.max(size, ti.abs(b.zbar[self.first + d][lane]))
+        before = b.moved[lane]
+        # moved rate / (1 - rate), where that is less than `moved` itself
+        left = ti.select((before > 0.0) & full & (2.0 * moved < before), moved * moved / (before - moved), moved)
+        b.moved[lane] = ti.select(waiting & full, moved, ti.select(waiting, 0.0, before))
         g = b.g[lane]
-        arrived = waiting & full & (inverse != 0.0)
+        # where there is no inverse nothing moves, whatever is left
+        arrived = waiting & full & ((moved > 0.0) | (b.norm[lane] == 0.0))
         arrived &= (r >= 0) | (b.norm[lane] <= ti.static(_DROP**2) * b.began[lane])
-        arrived &= g * moved <= ti.static(self.tolerance) * g * slope + ti.static(4 * self.epsilon) * size
+        arrived &= g * left <= ti.static(self.tolerance) * g * slope + ti.static(4 * self.epsilon) * size
         if ti.static(self.heated):
             warming = b.heat[1][lane] / b.heat[2][lane]
             b.heat[0][lane] = ti.select(waiting, b.heat[0][lane] - warming, b.heat[0][lane])
