@@ -25,6 +25,7 @@ from .stepping.recorder import Recorder
 from .stepping.rows import Request
 from .stepping.staged import StagedStepper
 from .systems.spring_mesh import SpringMesh, energies
+from .systems.transfer import Contents
 
 _HALVINGS = 10
 _NOWHERE = 0.5  # the part of the most energy that ever moved that may come from nowhere before it counts as a blow-up
@@ -41,9 +42,10 @@ class _View:
         self.rest = ti.field(ti.f32, max(1, self.spring_count))
         self.torn = ti.field(ti.i32, max(1, self.spring_count)) if system.tears else None
         if self.spring_count:
-            for field, column in zip(self.pairs, system.mesh.springs.T, strict=True):
-                field.from_numpy(np.ascontiguousarray(column, np.int32))
-            self.rest.from_numpy(system.mesh.rest.astype(np.float32))
+            contents = Contents()
+            for field, column in zip((*self.pairs, self.rest), (*system.mesh.springs.T, system.mesh.rest), strict=True):
+                contents.add(field, column)
+            contents.fill()
 
     def refresh(self) -> None:
         """Look up which springs are torn."""

@@ -1,5 +1,7 @@
 """The local vectors of one block of lanes."""
 
+# pyright: reportInvalidTypeForm=false
+
 from typing import Any
 
 import taichi as ti
@@ -18,3 +20,19 @@ class Block:
         for name, count in layout.items():
             found = [next(rest) for _ in range(count)]
             setattr(self, name, found[0] if count == 1 else found)
+
+    @ti.func
+    def rotate(self, to, source, taking: ti.template(), all_take):
+        """Copy register `source` to register `to`, for the lanes that are `taking` it: mostly all, and then whole vectors."""
+        if all_take > 0:
+            for d in ti.static(range(len(self.k))):
+                values = ti.Vector([0.0] * ti.static(self.lanes))  # for all that LLVM knows, the registers overlap
+                for lane in range(self.lanes):
+                    values[lane] = self.k[d][source * self.lanes + lane]
+                for lane in range(self.lanes):
+                    self.k[d][to * self.lanes + lane] = values[lane]
+        else:
+            for lane in range(self.lanes):
+                if taking[lane] > 0:
+                    for d in ti.static(range(len(self.k))):
+                        self.k[d][to * self.lanes + lane] = self.k[d][source * self.lanes + lane]

@@ -3,12 +3,11 @@
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false
 
-import numpy as np
 import taichi as ti
 
-from .. import backend
 from ..schemes import OpKind
 from ..systems.spring_mesh import SpringMesh
+from ..systems.transfer import Contents
 from .block import Block
 from .contact import Contact
 from .passes import PARTS
@@ -37,12 +36,10 @@ class BlockPasses:
         self.registers = table.scheme.registers
         self.edges = [int(edge) for edge in table.edges]
         self.layout = LAYOUT | ({"e": 1} if system.tallies else {})
-        self.ops = ti.field(ti.i32, table.ops.shape)
-        self.coefficients = ti.field(system.real, table.coefficients.shape)
-        self.ops.from_numpy(table.ops)
-        self.coefficients.from_numpy(
-            table.coefficients.astype(np.float64 if backend.current().precision == "f64" else np.float32)
-        )
+        contents = Contents()
+        self.ops = contents.add(ti.field(ti.i32, table.ops.shape), table.ops)
+        self.coefficients = contents.add(ti.field(system.real, table.coefficients.shape), table.coefficients)
+        contents.fill()
         # What nobody reads is not written: the state a step began with, the part v of a slope.
         self.moves = bool({_COMBINE, _SOLVE} & table.kinds)
         self.remembers = self.moves or _DIFFERENCE in table.kinds or contact.any

@@ -224,8 +224,7 @@ class FusedStepper:
                 if ti.static(not self.pace.counted):
                     stuck = ti.min(stuck, self.pace.judge(b, block, coefficients, target, dt, span))
                 if ti.static(self.table.shifts):
-                    for op in range(edges[2 + starting], edges[3 + starting]):
-                        self._shift(b, op, ops)
+                    self._shift(b, edges[2 + starting], edges[3 + starting], ops)
                 busy = self.pace.commit(b)
                 fresh = ti.static(self.reuses)
         self._store(b, block)
@@ -279,7 +278,7 @@ class FusedStepper:
                     going = ti.Vector([0] * ti.static(self.lanes))
                     for lane in range(b.lanes):
                         going[lane] = ti.select(b.h[lane] > 0.0, 1, 0)
-                    self._rotate(b, op, ops, going)
+                    b.rotate(ops[op, 1], ops[op, 2], going, going.min())
             if ti.static(not self.table.implicit):
                 if kind == _EVALUATE:
                     self._evaluate(b, ops[op, 1] * b.lanes, coefficients[op, 0], span, start)
@@ -379,36 +378,19 @@ class FusedStepper:
         return total
 
     @ti.func
-    def _shift(self, b: ti.template(), op, ops: ti.template()):
-        """ROTATE and DIFFERENCE, for the lanes whose step is accepted."""
+    def _shift(self, b: ti.template(), first, last, ops: ti.template()):
+        """Run ops first..last-1, ROTATE and DIFFERENCE, for the lanes whose step is accepted."""
         accepted = ti.Vector([0] * ti.static(self.lanes))
         for lane in range(b.lanes):
             accepted[lane] = ti.select(self.pace.accepted(b, lane), 1, 0)
-        if ti.static(_DIFFERENCE in self.table.kinds):
-            if ops[op, 0] == _DIFFERENCE:
-                for lane in range(b.lanes):
-                    for d in ti.static(range(len(self.state))):
-                        value = (b.z[d][lane] - b.z0[d][lane]) / b.h[lane]
-                        held = b.k[d][ops[op, 1] * b.lanes + lane]
-                        b.k[d][ops[op, 1] * b.lanes + lane] = ti.select(accepted[lane] > 0, value, held)
-            else:
-                self._rotate(b, op, ops, accepted)
-        else:
-            self._rotate(b, op, ops, accepted)
-
-    @ti.func
-    def _rotate(self, b: ti.template(), op, ops: ti.template(), taking: ti.template()):
-        """Copy a register, for the lanes that are `taking` it: mostly all of them, and then whole vectors."""
-        to, source = ops[op, 1] * b.lanes, ops[op, 2] * b.lanes
-        if taking.min() > 0:
-            for d in ti.static(range(len(self.state))):
-                values = ti.Vector([0.0] * ti.static(self.lanes))  # for all that LLVM knows, the registers overlap
-                for lane in range(b.lanes):
-                    values[lane] = b.k[d][source + lane]
-                for lane in range(b.lanes):
-                    b.k[d][to + lane] = values[lane]
-        else:
-            for lane in range(b.lanes):
-                if taking[lane] > 0:
-                    for d in ti.static(range(len(self.state))):
-                        b.k[d][to + lane] = b.k[d][source + lane]
+        all_accepted = accepted.min()
+        for op in range(first, last):
+            if ops[op, 0] == _ROTATE:
+                b.rotate(ops[op, 1], ops[op, 2], accepted, all_accepted)
+            if ti.static(_DIFFERENCE in self.table.kinds):
+                if ops[op, 0] == _DIFFERENCE:
+                    to = ops[op, 1] * b.lanes
+                    for lane in range(b.lanes):
+                        for d in ti.static(range(len(self.state))):
+                            value = (b.z[d][lane] - b.z0[d][lane]) / b.h[lane]
+                            b.k[d][to + lane] = ti.select(accepted[lane] > 0, value, b.k[d][to + lane])

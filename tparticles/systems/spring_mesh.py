@@ -22,6 +22,7 @@ from ..physics.repulsion import Repulsion
 from .hashed_grid import HashedGrid
 from .terms import FLOW_REGISTER, first_writers, force
 from .topology import LANES, Adjacency
+from .transfer import Contents
 
 
 @ti.data_oriented
@@ -62,8 +63,7 @@ class SpringMesh:
         self.blocks = self.padded // self.lanes
         self.damped = bool(np.any(mesh.damping > 0))
         self.tears = bool(np.any(np.isfinite(mesh.tear)))
-        # Filled when all are declared: Taichi lays out together what is declared together, and holds few layouts.
-        self._contents: list[tuple[Any, np.ndarray]] = []
+        self._contents = Contents()
         self.z, self.z0 = self._fields(6, 2), self._fields(6)
         self.tallies = tallies
         self.k = self._fields(6 + tallies, registers)
@@ -87,8 +87,8 @@ class SpringMesh:
             first, lanes, values = self._straight_rows(near, mesh.stiffness)
             self.row_first, self.row_lanes = self._filled(first, ti.i32), self._filled(lanes, ti.i32)
             self.row_values = [self._filled(v, self.real) for v in values]
-        for field, values in ((self.inverse_mass, weights), *self._contents):
-            self._fill(field, values)
+        self._contents.add(self.inverse_mass, weights)
+        self._contents.fill()
         if self.grid:
             self.grid.fill()
         self.write(mesh.x, mesh.v)
@@ -97,10 +97,7 @@ class SpringMesh:
         return tuple(ti.field(self.real, self.padded * times) for _ in range(components))
 
     def _filled(self, values: np.ndarray, kind: Any) -> Any:
-        field = ti.field(kind, max(1, len(values)))
-        if len(values):
-            self._contents.append((field, values))
-        return field
+        return self._contents.add(ti.field(kind, max(1, len(values))), values if len(values) else np.zeros(1))
 
     def _fill(self, field: Any, values: np.ndarray) -> None:
         kind = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]
@@ -131,16 +128,29 @@ class SpringMesh:
 
     def write(self, x: np.ndarray, v: np.ndarray) -> None:
         """Set positions and velocities, (n, 3) each."""
-        for d in range(6):
-            column = np.zeros(self.padded)
-            column[: self.count] = (x if d < 3 else v)[:, d % 3]
-            self._fill(self.z[d], np.tile(column, 2))
-            self._fill(self.z0[d], column)
+        kind = np.float64 if self.real == ti.f64 else np.float32
+        self._write(*(np.ascontiguousarray(array, kind) for array in (x, v)))
+
+    @ti.kernel
+    def _write(self, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2)):
+        for i in range(self.count):
+            for d in ti.static(range(3)):
+                self.z0[d][i], self.z0[3 + d][i] = x[i, d], v[i, d]
+                for page in ti.static(range(2)):
+                    at = page * self.padded + i
+                    self.z[d][at], self.z[3 + d][at] = x[i, d], v[i, d]
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities, (n, 3) each, in the precision of the run."""
-        columns = [field.to_numpy()[: self.count] for field in self.z]
-        return np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
+        x, v = (np.empty((self.count, 3), np.float64 if self.real == ti.f64 else np.float32) for _ in range(2))
+        self._read(x, v)
+        return x, v
+
+    @ti.kernel
+    def _read(self, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2)):
+        for i in range(self.count):
+            for d in ti.static(range(3)):
+                x[i, d], v[i, d] = self.z[d][i], self.z[3 + d][i]
 
     def whole(self) -> np.ndarray:
         """Return which springs are not torn, bool (m,)."""
