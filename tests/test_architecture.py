@@ -8,20 +8,31 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "tparticles"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-# What each part of the package may import of it, itself aside. Neutral ground: errors, spec, rng, backend, binding.
+# What each part of the package may import of it, itself aside. Neutral ground: errors, spec, rng, backend, binding, hints.
 ALLOWED = {
     "errors": set(),
     "spec": {"errors"},
     "track": {"errors", "spec"},
     "rng": {"errors"},
     "tracing": set(),
+    "hints": set(),
     "backend": {"errors", "tracing"},
     "binding": {"errors", "backend"},
     "schemes": {"errors"},
     "physics": {"errors", "rng", "spec", "track", "backend"},
-    "systems": {"errors", "spec", "rng", "backend", "binding", "physics"},
-    "stepping": {"errors", "spec", "backend", "binding", "schemes", "systems", "physics.law", "physics.colliders"},
-    "render": {"errors", "spec", "track", "backend", "binding"},
+    "systems": {"errors", "spec", "rng", "backend", "hints", "binding", "physics"},
+    "stepping": {
+        "errors",
+        "spec",
+        "backend",
+        "hints",
+        "binding",
+        "schemes",
+        "systems",
+        "physics.law",
+        "physics.colliders",
+    },
+    "render": {"errors", "spec", "track", "backend", "hints", "binding"},
     "output": {"errors"},
     "frame": {"stepping"},
 }

@@ -35,8 +35,6 @@ _DEAD_LOCK_AGE = 60.0  # [s]
 _LAYOUTS = 480  # Taichi has room for 512 trees of fields, and does not look when it is full
 _PROBE_TIMEOUT = 60.0  # [s]
 _QUICK, _THOROUGH = 0, 1  # levels of Taichi's own optimisation
-# A mask for an index that is below 2^30 anyhow: it tells LLVM that index + lane cannot wrap, without which there are no vectors.
-NO_WRAP = (1 << 30) - 1
 GRAIN = 512  # iterations that Taichi gives one CPU thread at least
 _LANES = 16  # particles in a lane block: one AVX-512 register of f32; wider blocks spill (tests/bench/fused.py)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import taichi as ti
 
+from tparticles.hints import NO_WRAP, rolled
 from tparticles.render import splat
 
 CHUNK = 2048  # dots that one thread counts and lists at a time
@@ -48,10 +49,12 @@ class Bands:
         """Begin the histogram of a chunk."""
         for band in range(self.bands + 1):
             self.counts[chunk, band] = 0
+            rolled(self.marks)
 
     @ti.func
     def count(self, chunk, first, last):
         """Count a dot in bands first..last, as differences: one more from `first` on, one less after `last`."""
+        rolled(self.marks)
         self.counts[chunk, first] = self.counts[chunk, first] + 1
         self.counts[chunk, last + 1] = self.counts[chunk, last + 1] - 1
 
@@ -63,6 +66,7 @@ class Bands:
             here += self.counts[chunk, band]
             self.counts[chunk, band] = here
             total += here
+            rolled(self.marks)
         self.counts[chunk, self.bands] = total
 
     @ti.func
@@ -75,17 +79,27 @@ class Bands:
         position = 0
         for band in range(self.bands):
             self.starts[band] = position
+            rolled(self.marks)
             for chunk in range(taken):
                 count = self.counts[chunk, band]
                 self.counts[chunk, band] = position
                 position += count
+                rolled(self.marks)
         self.starts[self.bands] = position
         self.taken[0] = taken
 
     @ti.func
     def append(self, chunk, band, record):
         """List a dot in a band, at the position that belongs to its chunk."""
+        rolled(self.marks)
         position = self.counts[chunk, band]
         self.counts[chunk, band] = position + 1
+        start = position * RECORD & NO_WRAP
         for k in ti.static(range(RECORD)):
-            self.records[position * RECORD + k] = record[k]
+            self.records[start + k] = record[k]
+
+    @ti.func
+    def read(self, k):
+        """Return listed dot k."""
+        start = k * RECORD & NO_WRAP
+        return ti.Vector([self.records[start + j] for j in range(RECORD)])

@@ -18,7 +18,7 @@ class Dots:
     `u, v` [px]: position at shutter close; (0, 0) is the top left corner of the film, pixel centres are at +0.5, v grows
     downward. `du, dv` [px]: from there to the position at shutter open; zero is a dot. `sigma` [px]: standard deviation
     of the Gaussian; 0.3..1024, others are drawn at the nearer limit. `r, g, b` [film white * px]: energy, that is the
-    sum over the film; a channel may be negative. Energies are clamped to +-2^30.
+    sum over the film; a channel may be negative. Energies are clamped to +-2^26.
 
     A dot with a NaN or infinity, with sigma <= 0, or 2^24 px or more away draws nothing.
 

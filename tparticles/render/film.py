@@ -21,8 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from tparticles import backend
 from tparticles.errors import InputError
+from tparticles.hints import NO_WRAP, rolled
 from tparticles.render import splat
-from tparticles.render.bands import CHUNK, CHUNKS, LANES, RECORD, TABLE, Bands
+from tparticles.render.bands import CHUNK, CHUNKS, LANES, TABLE, Bands
 from tparticles.render.dots import Dots
 from tparticles.render.look import bayer
 
@@ -230,7 +231,7 @@ class Film:
             top, block = self.cell(i)
             if top < self.height and (everywhere != 0 or self.holds_light(top, block)):
                 for y in range(top, ti.min(top + self.cell_rows, self.height)):
-                    start = (y * self.stride + block * LANES) & backend.NO_WRAP
+                    start = (y * self.stride + block * LANES) & NO_WRAP
                     for lane in range(ti.min(self.cell_blocks * LANES, self.stride - block * LANES)):
                         self.light[start + lane] = 0
         for tile in self.bands.marks:
@@ -304,8 +305,7 @@ class Film:
                     top = band * splat.BAND
                     bottom = ti.min(top + splat.BAND, self.height)
                     for k in range(self.bands.starts[band], self.bands.starts[band + 1]):
-                        record = ti.Vector([self.bands.records[k * RECORD + j] for j in range(RECORD)])
-                        u, v, du, dv, sigma, r, g, b = record
+                        u, v, du, dv, sigma, r, g, b = self.bands.read(k)
                         size, energy = (self.width, self.height), ti.Vector([r, g, b])
                         splat.draw_streak(self.light, self.bands.marks, size, top, bottom, u, v, du, dv, sigma, energy)
         return self.bands.taken[0]
@@ -341,6 +341,7 @@ class Film:
     ):
         # The dither pattern, n table entries and the column, kept next to the sums, in their SNode tree, see Bands.
         for i in range(size):
+            rolled(self.bands.marks)
             self.bands.numbers[i] = numbers[i]
         for i in range(self.threads * self.down_per_thread * self.across):
             top, left = self.cell(i)
@@ -350,21 +351,30 @@ class Film:
                 first = left - ti.static(splat.PAD * 3 // LANES)
                 for y in range(top, ti.min(top + self.cell_rows, self.height)):
                     for block in range(ti.max(first, 0), ti.min(first + self.cell_blocks, (self.width + 7) // 8)):
-                        code = ti.Vector([ti.i32(0)] * LANES)
-                        start = (y * self.stride + splat.PAD * 3 + block * LANES) & backend.NO_WRAP
-                        column = (8 * LANES + n + y * LANES) & backend.NO_WRAP
-                        for lane in range(LANES):
-                            value = ti.cast(self.light[start + lane], ti.f32) * quantum
-                            if ti.static(behind == _PICTURE):
-                                value += picture[start + lane]
-                            if ti.static(behind == _COLUMN):
-                                value += self.bands.numbers[column + lane]
-                            s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
-                            k = ti.min(ti.cast(s, ti.i32), n - 2)
-                            low, high = self.bands.numbers[8 * LANES + k], self.bands.numbers[8 * LANES + k + 1]
-                            level = low + (s - ti.cast(k, ti.f32)) * (high - low)
-                            level += self.bands.numbers[(y & 7) * LANES + lane] + ti.f32(0.5)
-                            code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
-                        pixel = (y * self.width + block * 8) * 3
-                        for lane in range(ti.min(LANES, (self.width - block * 8) * 3)):
-                            out[pixel + lane] = ti.cast(code[lane], ti.u8)
+                        pixel, last = (y * self.width + block * 8) * 3, (self.width - block * 8) * 3
+                        for part in range(LANES // 8):
+                            rolled(self.bands.marks)
+                            code = ti.Vector([ti.i32(0)] * 8)
+                            start = (y * self.stride + splat.PAD * 3 + block * LANES + 8 * part) & NO_WRAP
+                            column = (8 * LANES + n + y * LANES + 8 * part) & NO_WRAP
+                            dither = ((y & 7) * LANES + 8 * part) & NO_WRAP
+                            for lane in range(8):
+                                value = ti.cast(self.light[start + lane], ti.f32) * quantum
+                                if ti.static(behind == _PICTURE):
+                                    value += picture[start + lane]
+                                if ti.static(behind == _COLUMN):
+                                    value += self.bands.numbers[column + lane]
+                                s = ti.sqrt(ti.min(ti.max(value * per_max, ti.f32(0.0)), ti.f32(1.0))) * scale
+                                k = ti.min(ti.cast(s, ti.i32), n - 2)
+                                entry = (8 * LANES + k) & NO_WRAP
+                                low, high = self.bands.numbers[entry], self.bands.numbers[entry + 1]
+                                level = low + (s - ti.cast(k, ti.f32)) * (high - low)
+                                level += self.bands.numbers[dither + lane] + ti.f32(0.5)
+                                code[lane] = ti.cast(ti.min(ti.max(level, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
+                            if 8 * part + 8 <= last:
+                                for lane in range(8):
+                                    out[pixel + 8 * part + lane] = ti.cast(code[lane], ti.u8)
+                            else:
+                                for lane in range(last - 8 * part):
+                                    rolled(self.bands.marks)
+                                    out[pixel + 8 * part + lane] = ti.cast(code[lane], ti.u8)

@@ -19,13 +19,13 @@ Rows of the film are padded by `PAD` pixels on both sides, so that a block of pi
 
 import taichi as ti
 
-from tparticles.backend import NO_WRAP
+from tparticles.hints import NO_WRAP, rolled
 
 QUANTUM = 2.0**-24  # film white in one step of the fixed-point film
 SIGMA_MIN = 0.3  # [px]; a narrower dot would fall between the pixel centres
 SIGMA_MAX = 1024.0  # [px]
 REACH = 2.0**24  # [px]; beyond it f32 no longer resolves a pixel
-ENERGY_MAX = 2.0**30  # [film white px]; 2^30 / QUANTUM leaves 9 bits of headroom in an i64
+ENERGY_MAX = 2.0**26  # [film white px]; 2^26 / QUANTUM leaves 13 bits of headroom in an i64, see `rounded`
 
 BLOCK = 5  # pixels in a block: a dot with R = 2 is one block wide
 LANES = 16  # i64 in a block: 5 pixels of 3 channels and a zero, whole vector registers
@@ -121,10 +121,11 @@ def gauss_sum(a, d, R):
 
 
 @ti.func
-def gauss_sums(a, dx, dy, R):
+def gauss_sums(marks: ti.template(), a, dx, dy, R):
     """Return the product of the sums for two distances, WIDE terms at a time: for vectors."""
     x, y = ti.Vector([ti.f32(0.0)] * WIDE), ti.Vector([ti.f32(0.0)] * WIDE)
     for i in range((R + WIDE - 1) // WIDE):
+        rolled(marks)
         for lane in range(WIDE):
             k = WIDE * i + lane + 1
             x[lane] += ti.select(k <= R, gauss(a, dx, k) + gauss(a, dx, -k), ti.f32(0.0))
@@ -139,12 +140,21 @@ def block_row(w, energy):
 
 
 @ti.func
+def rounded(x):
+    """Return floor(x + 1/2) as i64, |x| < 2^51; CPUs before AVX-512 have no vector instruction that converts.
+
+    A whole number plus 1.5 * 2^52 is exact in f64, and its lowest bits are that number.
+    """
+    y = ti.cast(ti.floor(x + ti.f32(0.5)), ti.f64) + ti.f64(1.5 * 2.0**52)
+    return ti.bit_cast(y, ti.i64) - ti.i64(0x4338000000000000)
+
+
+@ti.func
 def add_row(film: ti.template(), base, row, weight):
     """Add round(row * weight) to the film from index `base` on, not atomically: the caller must own these pixels."""
     start = base & NO_WRAP
     for lane in range(LANES):
-        q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
-        film[start + lane] = film[start + lane] + q
+        film[start + lane] = film[start + lane] + rounded(row[lane] * weight)
 
 
 @ti.func
@@ -161,8 +171,7 @@ def add_wide_row(film: ti.template(), base, row, weight):
     """Do as `add_row` for a row of WIDE pixels."""
     start = base & NO_WRAP
     for lane in range(3 * WIDE):
-        q = ti.cast(ti.floor(row[lane] * weight + ti.f32(0.5)), ti.i64)
-        film[start + lane] = film[start + lane] + q
+        film[start + lane] = film[start + lane] + rounded(row[lane] * weight)
 
 
 @ti.func
@@ -201,20 +210,23 @@ def draw_dot(film: ti.template(), marks: ti.template(), width, top, bottom, u, v
             row = block_row(five_weights(a, q, dx), energy)
             base = (x - 2 + PAD) * 3
             for j in range(first, last):
+                rolled(marks)
                 add_row(film, j * stride(width) + base, row, down[j - y + 2])
         else:
-            scaled = energy / gauss_sums(a, dx, dy, R)
+            scaled = energy / gauss_sums(marks, a, dx, dy, R)
             # The weights of the rows are worked out once, all together, and not again in each block.
             down = ti.Vector([ti.f32(0.0)] * BAND)
             for j in range(BAND):
                 down[j] = gauss(a, dy, first - y + j)
             # Blocks k0..k0+7 with k0 = 8 i - R; those that touch a pixel 0 <= x + k < width.
             for i in range(ti.max(0, R - x) // WIDE, ti.min(2 * R, width - 1 - x + R) // WIDE + 1):
+                rolled(marks)
                 k0 = WIDE * i - R
                 mark(marks, width, top, x + k0, x + k0 + WIDE - 1)
                 row = wide_row(a, dx, k0, R, scaled)
                 base = first * stride(width) + (x + k0 + PAD) * 3
                 for j in range(last - first):
+                    rolled(marks)
                     add_wide_row(film, j * stride(width) + base, row, down[j])
 
 

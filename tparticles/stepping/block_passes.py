@@ -33,7 +33,6 @@ class BlockPasses:
 
     def __init__(self, system: SpringMesh, table: Table, contact: Contact):
         self.system, self.table, self.contact = system, table, contact
-        self.registers = table.scheme.registers
         self.edges = [int(edge) for edge in table.edges]
         self.layout = LAYOUT | ({"e": 1} if system.tallies else {})
         contents = Contents()
@@ -163,9 +162,11 @@ class BlockPasses:
     @ti.func
     def _add(self, b: ti.template(), i, op, h, components: ti.template()):
         """z += h sum_j w_j k_j, in some components."""
-        for j in range(ti.static(self.registers)):
+        n = 4
+        while self.ops[op, n] >= 0:
+            j = self.ops[op, n]
             w = self.coefficients[op, 1 + j] * h
-            if w != 0.0:
-                for lane in range(b.lanes):
-                    for d in ti.static(components):
-                        b.z[d][lane] += w * self.system.k[d][j * self.system.padded + i + lane]
+            for lane in range(b.lanes):
+                for d in ti.static(components):
+                    b.z[d][lane] += w * self.system.k[d][j * self.system.padded + i + lane]
+            n += 1

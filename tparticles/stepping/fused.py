@@ -267,7 +267,7 @@ class FusedStepper:
                 self._combine(b, op, ops, coefficients)
             if ti.static(_KICK in self.table.kinds):
                 if kind == _KICK:
-                    self._kick(b, op, coefficients)
+                    self._kick(b, op, ops, coefficients)
             if ti.static(_DRIFT in self.table.kinds):
                 if kind == _DRIFT:
                     for lane in range(b.lanes):
@@ -318,16 +318,16 @@ class FusedStepper:
 
     @ti.func
     def _combine(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
-        """z = z0 + dt sum_j w_j k_j, from the first j whose weight is not 0; z0, the largest, comes last: one rounding counts."""
+        """z = z0 + dt sum_j w_j k_j; the first j comes last but z0, the largest of all: one rounding counts."""
         m = ti.static(len(self.state))
-        first, begun = ops[op, 2], 0
-        for j in range(first + 1, self.table.scheme.registers):
-            if coefficients[op, 1 + j] != 0.0:
-                for lane in range(b.lanes):
-                    w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
-                    for d in ti.static(range(m)):
-                        b.z[d][lane] = ti.select(begun > 0, b.z[d][lane], 0.0) + w * b.k[d][j * b.lanes + lane]
-                begun = 1
+        first, begun = ops[op, 4], 0
+        while ops[op, 5 + begun] >= 0:
+            j = ops[op, 5 + begun]
+            for lane in range(b.lanes):
+                w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
+                for d in ti.static(range(m)):
+                    b.z[d][lane] = ti.select(begun > 0, b.z[d][lane], 0.0) + w * b.k[d][j * b.lanes + lane]
+            begun += 1
         for lane in range(b.lanes):
             w = self._weight(b, op, first, lane, coefficients) * b.h[lane]
             for d in ti.static(range(m)):
@@ -335,14 +335,16 @@ class FusedStepper:
                 b.z[d][lane] = b.z0[d][lane] + (others + w * b.k[d][first * b.lanes + lane])
 
     @ti.func
-    def _kick(self, b: ti.template(), op, coefficients: ti.template()):
+    def _kick(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
         """v += dt sum_j w_j a_j."""
-        for j in range(self.table.scheme.registers):
-            if coefficients[op, 1 + j] != 0.0:
-                for lane in range(b.lanes):
-                    w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
-                    for d in ti.static(range(3)):
-                        b.z[3 + d][lane] += w * b.k[3 + d][j * b.lanes + lane]
+        i = 4
+        while ops[op, i] >= 0:
+            j = ops[op, i]
+            for lane in range(b.lanes):
+                w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
+                for d in ti.static(range(3)):
+                    b.z[3 + d][lane] += w * b.k[3 + d][j * b.lanes + lane]
+            i += 1
 
     @ti.func
     def _evaluate(self, b: ti.template(), slot, c, span, start):

@@ -12,6 +12,7 @@ import numpy as np
 import taichi as ti
 
 from .. import backend
+from ..hints import NO_WRAP
 from ..systems.spring_mesh import SpringMesh
 from .block import Block
 from .rows import ENERGIES, Request, Rows, Sink
@@ -191,7 +192,7 @@ class Recorder:
                 b.e[2][lane] -= m * ti.static(self.gravity[d]) * b.s[d][lane]
         if ti.static(self.whole):
             for c in ti.static(range(9)):
-                to = ((((c // 3) * rows + n) * 3 + c % 3) * self.system.count + first) & backend.NO_WRAP
+                to = ((((c // 3) * rows + n) * 3 + c % 3) * self.system.count + first) & NO_WRAP
                 if first + lanes <= self.system.count:  # a fixed number of lanes is copied twice as fast
                     for lane in range(lanes):
                         state[to + lane] = b.s[c][lane]

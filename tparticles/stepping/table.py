@@ -14,7 +14,9 @@ from ..schemes import Op, OpKind, Scheme
 class Table:
     """The programs of a scheme in one table of ops.
 
-    `ops`, int32 (n, 4): kind; register written; register read by a ROTATE, else the first with a weight; whether a SOLVE is linear.
+    `ops`, int32 (n, 5 + registers): kind; register written; register read by a ROTATE; whether a SOLVE is linear; from 4 on the
+    registers with a weight other than 0, or register 0, and behind them -1: LLVM cannot count a loop that ends there,
+    and does not unroll it.
     `edges`: where in it the parts begin: the program, the starter's, what follows an accepted step of the one and of the other, the
     probe k_0 = f(t, z), the row of error weights.
     `coefficients`, (n + 1, w): time and weights of each op, after them (n0, n1, d) for each weight where steps vary; in the last
@@ -35,11 +37,12 @@ class Table:
         parts = [run, start, [*after, *scheme.history], [*after_start, *scheme.history], [Op(OpKind.EVALUATE)]]
         ops = [op for part in parts for op in part]
         width, variable = scheme.registers, any(op.variable for op in ops)
-        table = np.zeros((len(ops), 4), np.int32)
+        table = np.zeros((len(ops), 5 + width), np.int32)
         rows = np.zeros((len(ops) + 1, 1 + width * (4 if variable else 1)))
         for i, op in enumerate(ops):
-            first = next((j for j, weight in enumerate(op.weights) if weight), 0)
-            table[i] = op.kind, op.slope, op.source if op.kind is OpKind.ROTATE else first, op.linear
+            weighted = [j for j, weight in enumerate(op.weights) if weight] or [0]
+            table[i, :4] = op.kind, op.slope, op.source, op.linear
+            table[i, 4 : 5 + len(weighted)] = *weighted, -1
             rows[i, 0] = op.time
             rows[i, 1 : 1 + len(op.weights)] = op.weights
             if variable:

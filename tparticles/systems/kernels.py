@@ -6,6 +6,7 @@ import taichi as ti
 
 from .. import backend
 from ..binding import Parameters
+from ..hints import rolled
 from ..physics.emitters import (
     DRAW_LIFETIME,
     DRAW_POSITION,
@@ -176,6 +177,7 @@ class Compaction:
                 to += width
             else:
                 for block in range(ti.min((count - start + lanes - 1) // lanes, _RUN)):
+                    rolled(self.dead)
                     first = start + block * lanes
                     lives = ~self.dead[run * _RUN + block] & ((1 << ti.min(count - first, lanes)) - 1)
                     while lives != 0:

@@ -9,6 +9,7 @@ import taichi as ti
 
 from .. import backend
 from ..errors import RunError
+from ..hints import rolled
 from .attributes import Columns
 from .kernels import FEW, lowest_bit
 from .view import View
@@ -69,6 +70,7 @@ class Mortality:
         died, astray = 0, _NOBODY
         ti.loop_config(serialize=ti.static(self.serial))
         for block in range((count + self.lanes - 1) // self.lanes):
+            rolled(self.dead)
             dead, lost = self._verdicts(block * self.lanes, ti.min(count - block * self.lanes, self.lanes), t, camera)
             if ti.static(self.kills):
                 self.dead[block] = dead

@@ -17,6 +17,7 @@ import taichi as ti
 
 from .. import backend
 from ..binding import Parameters
+from ..hints import NO_WRAP
 from ..physics.mesh import Mesh
 from ..physics.repulsion import Repulsion
 from .hashed_grid import HashedGrid
@@ -217,7 +218,7 @@ class SpringMesh:
     @ti.func
     def _pull_row(self, b: ti.template(), e, there):
         """Add the forces of a row of springs that are alike, to the vertices from `there` on."""
-        lanes, first = self.row_lanes[e], there & backend.NO_WRAP
+        lanes, first = self.row_lanes[e], there & NO_WRAP
         values = ti.Vector([self.row_values[n][e] for n in ti.static(range(len(self.row_values)))])
         for lane in range(b.lanes):
             stiffness = ti.select((lanes >> lane) & 1, values[0], 0.0)
