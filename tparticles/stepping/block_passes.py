@@ -5,6 +5,7 @@
 
 import taichi as ti
 
+from ..hints import rolled
 from ..schemes import OpKind
 from ..systems.spring_mesh import SpringMesh
 from ..systems.transfer import Contents
@@ -33,6 +34,7 @@ class BlockPasses:
 
     def __init__(self, system: SpringMesh, table: Table, contact: Contact):
         self.system, self.table, self.contact = system, table, contact
+        self.registers = table.scheme.registers
         self.edges = [int(edge) for edge in table.edges]
         self.layout = LAYOUT | ({"e": 1} if system.tallies else {})
         contents = Contents()
@@ -104,12 +106,14 @@ class BlockPasses:
     @ti.func
     def _store(self, b: ti.template(), i):
         for lane in range(b.lanes):
+            rolled(self.system.starts)
             for d in ti.static(range(6)):
                 self.system.z[d][i + lane] = b.z[d][lane]
 
     @ti.func
     def _begin(self, b: ti.template(), block):
         for lane in range(b.lanes):
+            rolled(self.system.starts)
             for d in ti.static(range(6)):
                 self.system.z0[d][block * b.lanes + lane] = b.z[d][lane]
 
@@ -117,6 +121,7 @@ class BlockPasses:
     def turn(self, block):
         """Copy the state from the second page to the first."""
         for lane in range(self.system.lanes):
+            rolled(self.system.starts)
             i = block * self.system.lanes + lane
             for d in ti.static(range(6)):
                 self.system.z[d][i] = self.system.z[d][self.system.padded + i]
@@ -156,17 +161,16 @@ class BlockPasses:
                 if kind == _DIFFERENCE:
                     to = self.ops[op, 1] * away + i
                     for lane in range(b.lanes):
+                        rolled(self.system.starts)
                         for d in ti.static(range(6)):
                             self.system.k[d][to + lane] = (b.z[d][lane] - self.system.z0[d][i + lane]) / h
 
     @ti.func
     def _add(self, b: ti.template(), i, op, h, components: ti.template()):
         """z += h sum_j w_j k_j, in some components."""
-        n = 4
-        while self.ops[op, n] >= 0:
-            j = self.ops[op, n]
+        for j in range(ti.static(self.registers)):
             w = self.coefficients[op, 1 + j] * h
-            for lane in range(b.lanes):
-                for d in ti.static(components):
-                    b.z[d][lane] += w * self.system.k[d][j * self.system.padded + i + lane]
-            n += 1
+            if w != 0.0:
+                for lane in range(b.lanes):
+                    for d in ti.static(components):
+                        b.z[d][lane] += w * self.system.k[d][j * self.system.padded + i + lane]

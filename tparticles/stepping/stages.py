@@ -7,6 +7,7 @@ import numpy as np
 import taichi as ti
 
 from .. import backend
+from ..hints import rolled
 from ..schemes import OpKind
 from ..systems.spring_mesh import SpringMesh
 from .block import Block
@@ -147,6 +148,7 @@ class Stages:
                             # Go back, and step to the moment of the first contact.
                             reached = hit * left
                             for i in range(self.system.padded):
+                                rolled(self.system.starts)
                                 for d in ti.static(range(6)):
                                     self.system.z[d][i] = self.system.z0[d][i]
                             if reached > 0.0:
@@ -343,15 +345,16 @@ class Stages:
         """Undo a step."""
         for block in range(self.system.blocks):
             for lane in range(self.system.lanes):
+                rolled(self.system.starts)
+                i = block * self.system.lanes + lane
                 for d in ti.static(range(6)):
-                    self.system.z[d][block * self.system.lanes + lane] = self.system.z0[d][
-                        block * self.system.lanes + lane
-                    ]
+                    self.system.z[d][i] = self.system.z0[d][i]
 
     @ti.kernel
     def put(self, slot: ti.i32, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2), a: ti.types.ndarray(ndim=2)):
         """Set the state, and the slope (v, a) in register `slot`."""
         for i in range(self.system.count):
+            rolled(self.system.starts)
             for d in ti.static(range(3)):
                 self.system.z[d][i] = x[i, d]
                 self.system.z[3 + d][i] = v[i, d]

@@ -17,7 +17,7 @@ import taichi as ti
 
 from .. import backend
 from ..binding import Parameters
-from ..hints import NO_WRAP
+from ..hints import NO_WRAP, rolled
 from ..physics.mesh import Mesh
 from ..physics.repulsion import Repulsion
 from .hashed_grid import HashedGrid
@@ -135,6 +135,7 @@ class SpringMesh:
     @ti.kernel
     def _write(self, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2)):
         for i in range(self.count):
+            rolled(self.starts)
             for d in ti.static(range(3)):
                 self.z0[d][i], self.z0[3 + d][i] = x[i, d], v[i, d]
                 for page in ti.static(range(2)):
@@ -150,6 +151,7 @@ class SpringMesh:
     @ti.kernel
     def _read(self, x: ti.types.ndarray(ndim=2), v: ti.types.ndarray(ndim=2)):
         for i in range(self.count):
+            rolled(self.starts)
             for d in ti.static(range(3)):
                 x[i, d], v[i, d] = self.z[d][i], self.z[3 + d][i]
 

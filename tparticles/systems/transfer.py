@@ -13,6 +13,7 @@ import numpy as np
 import taichi as ti
 
 from ..errors import RunError
+from ..hints import rolled
 from .attributes import Columns
 
 _KINDS = {"i32": np.int32, "f32": np.float32, "f64": np.float64}
@@ -124,6 +125,7 @@ class Contents:
             firsts = np.cumsum([0, *(v.size for _, v in parts)]).tolist()
             self.places[kind] = [(field, first) for (field, _), first in zip(parts, firsts, strict=False)]
             parts.clear()
+        self._zero = ti.field(ti.i32, 1)  # behind the others: their rows stay aligned
         self._fill(*values.values())
 
     @ti.kernel
@@ -135,12 +137,15 @@ class Contents:
     ):
         # One loop for all fields of a type: over one for each, which it vectorises, LLVM takes ten times as long.
         for i in range(i32.shape[0]):
+            rolled(self._zero)
             for field, first in ti.static(self.places["i32"]):
                 self._put(field, i - first, i32[i])
         for i in range(f32.shape[0]):
+            rolled(self._zero)
             for field, first in ti.static(self.places["f32"]):
                 self._put(field, i - first, f32[i])
         for i in range(f64.shape[0]):
+            rolled(self._zero)
             for field, first in ti.static(self.places["f64"]):
                 self._put(field, i - first, f64[i])
 
