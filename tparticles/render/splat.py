@@ -188,8 +188,10 @@ def across_block(a, d, k0, R):
 def mark(marks: ti.template(), width, top, first, last):
     """Mark the tiles of pixels `first` and `last`, padding included, in the band that begins at row `top`."""
     row = (top >> BAND_BITS) * tiles(width)
-    marks[row + ((first + PAD) >> TILE_BITS)] = 1
-    marks[row + ((last + PAD) >> TILE_BITS)] = 1
+    for pixel in ti.static((first, last)):
+        tile = row + ((pixel + PAD) >> TILE_BITS)
+        if marks[tile] == 0:  # written once: other threads look at marks beside it, see `rolled`
+            marks[tile] = 1
 
 
 @ti.func
