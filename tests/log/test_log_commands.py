@@ -264,8 +264,9 @@ def test_a_changed_script_is_refused(run, logged: Film, tmp_path: Path):
 
 
 def test_a_log_that_cannot_be_written(tmp_path: Path):
+    log = LogWriter(tmp_path / "no/log.h5", {}, [], [])
     with pytest.raises(RunError, match=r"cannot write .*no/log\.h5"):
-        LogWriter(tmp_path / "no/log.h5", {}, [], [])
+        log.close(complete=True)
 
 
 def test_blender_opens_the_points(run, logged: Film, tmp_path: Path):

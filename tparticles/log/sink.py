@@ -66,8 +66,7 @@ class LogWriter:
         meshes, particles: what is logged; for meshes `name`, `attributes`, `arrays` that stay, `vertices` and `kind` of the rows;
             for groups of particles `name`, `attributes`, `columns` (components and type by name).
 
-    Raises:
-        RunError: it cannot be written.
+    Nobody waits for the process to start: whether the log can be written is heard of where it is used, as a RunError.
     """
 
     def __init__(
@@ -80,29 +79,28 @@ class LogWriter:
     ):
         self.path = path
         self._marked: dict[str, int] | None = None
+        self._failure = "its writer has ended"  # what the writer says of it, if it does
         places, size = _places(meshes)
         with tempfile.NamedTemporaryFile(dir=_roomy_folder(size)) as file:  # its name goes, the memory stays
             file.truncate(size)
             self._memory = mmap.mmap(file.fileno(), size)
+            shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]
+            file.seek(size)
+            pickle.dump((path, dict(header), shared, list(particles), earlier), file, pickle.HIGHEST_PROTOCOL)
+            file.flush()
             paths = os.pathsep.join([_PACKAGES, os.environ.get("PYTHONPATH", "")])
             self._process = subprocess.Popen(
-                [sys.executable, "-m", writer.__name__],
+                [sys.executable, "-m", writer.__name__, str(file.fileno()), str(size)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                pass_fds=[file.fileno()],
                 env=os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},  # its threads spin for a while
                 start_new_session=True,  # Ctrl-C is the simulation's, which then ends the log
             )
-            shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]
-            self._tell((path, dict(header), shared, list(particles), file.name, size, earlier))
             self.sinks = [
                 MeshSink(self, n, [layout.block(self._memory, place, m["vertices"], m["kind"]) for place in blocks])
                 for n, (m, blocks) in enumerate(zip(meshes, places, strict=True))
             ]
-            try:
-                self.hear()
-            except RunError:
-                self._end()
-                raise
 
     def send(self, *message: Any) -> None:
         """Tell the writer. Raises RunError if it has failed."""
@@ -115,12 +113,12 @@ class LogWriter:
             self._process.stdin.flush()
         except OSError:
             self._listen()
-            raise self._broken("its writer has ended") from None
+            raise self._broken() from None
 
     def hear(self) -> None:
         """Wait for what the writer says. Raises RunError if it has failed."""
         if not self._reply():
-            raise self._broken("its writer has ended")
+            raise self._broken()
 
     def _listen(self) -> None:
         """Hear all that the writer has to say until it ends."""
@@ -135,15 +133,16 @@ class LogWriter:
         except (EOFError, OSError):
             return False
         if kind == "failed":
-            raise self._broken(content[0])
+            self._failure = content[0]
+            raise self._broken()
         if kind == "marked":
             self._marked = content[0]
         if kind == "free":
             self.sinks[content[0]].freed(content[1])
         return True
 
-    def _broken(self, reason: str) -> RunError:
-        return RunError(f"cannot write {self.path}: {reason}")
+    def _broken(self) -> RunError:
+        return RunError(f"cannot write {self.path}: {self._failure}")
 
     def torn(self, mesh: int, time: float, springs: np.ndarray) -> None:
         """Note springs that were torn by `time` [s]."""
@@ -169,7 +168,7 @@ class LogWriter:
         finally:
             code = self._end()
         if code != 0:
-            raise self._broken("its writer has failed")
+            raise self._broken()
 
     def _end(self) -> int:
         """Let the writer end; return its exit code."""

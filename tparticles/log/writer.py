@@ -30,9 +30,10 @@ _WORTH = 0.5  # of the size: to compress takes several times as long as to write
 def main() -> None:
     """Write what comes on stdin, pickled, until it says "end" or is closed; tell on stdout what is free again, or what failed.
 
-    The first message: the path, the header, the meshes (a dict of attributes, of arrays that stay, and where the memory of its
-    blocks begins), the groups of particles (a dict of attributes, and of columns), the name and the size of the file of the memory,
-    and how much of the file at that path the log begins with (see `marked`), None to begin anew.
+    Arguments: the descriptor of the file whose memory is shared, and the size of the blocks in it. Behind them it holds what a log
+    is of: the path, the header, the meshes (a dict of attributes, of arrays that stay, and where the memory of its blocks begins),
+    the groups of particles (a dict of attributes, and of columns), and how much of the file at that path the log begins with (see
+    `marked`), None to begin anew.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         with contextlib.suppress(AttributeError):
@@ -45,11 +46,13 @@ def main() -> None:
             replies.flush()
 
     try:
-        path, header, meshes, particles, name, size, earlier = pickle.load(source)
-        with open(name, "r+b") as file:
-            memory = mmap.mmap(file.fileno(), size)
+        descriptor, size = map(int, sys.argv[1:])
+        with open(descriptor, "r+b") as file:
+            memory = mmap.mmap(descriptor, size)
+            file.seek(size)
+            path, header, meshes, particles, earlier = pickle.load(file)
+            file.truncate(size)
         writer = _Writer(path, header, meshes, particles, memory, earlier)
-        reply("ready")
         writer.serve(source, reply)
     except OSError as error:
         reply("failed", error.strerror or str(error))
