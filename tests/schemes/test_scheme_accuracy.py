@@ -71,8 +71,7 @@ def test_order_by_trees_is_the_declared_one(scheme):
         assert needs == (order_of(scheme, SECOND_ORDER_SYSTEM) < scheme.order)
     else:
         assert order_of(scheme) == scheme.order
-        if scheme.order < 8:  # there are too many trees of order 8 with two kinds of nodes
-            assert order_of(scheme, SECOND_ORDER_SYSTEM) >= scheme.order
+        assert order_of(scheme, SECOND_ORDER_SYSTEM) >= scheme.order
 
 
 @pytest.mark.parametrize(

@@ -81,12 +81,16 @@ class LogWriter:
         self._marked: dict[str, int] | None = None
         self._failure = "its writer has ended"  # what the writer says of it, if it does
         places, size = _places(meshes)
-        with tempfile.NamedTemporaryFile(dir=_roomy_folder(size)) as file:  # its name goes, the memory stays
+        shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]
+        contents = pickle.dumps((path, dict(header), shared, list(particles), earlier), pickle.HIGHEST_PROTOCOL)
+        with tempfile.NamedTemporaryFile(
+            dir=_roomy_folder(size + len(contents))
+        ) as file:  # its name goes, the memory stays
             file.truncate(size)
             self._memory = mmap.mmap(file.fileno(), size)
-            shared = [{**m, "places": blocks} for m, blocks in zip(meshes, places, strict=True)]
+            # Not through the pipe: what is longer than a pipe holds would wait until the process has started.
             file.seek(size)
-            pickle.dump((path, dict(header), shared, list(particles), earlier), file, pickle.HIGHEST_PROTOCOL)
+            file.write(contents)
             file.flush()
             paths = os.pathsep.join([_PACKAGES, os.environ.get("PYTHONPATH", "")])
             self._process = subprocess.Popen(
