@@ -40,7 +40,13 @@ class Sink:
 
 
 def run(
-    scheme: str, request_: Request, *, guard: str = "error", dt: float = 0.004, stiffness: float = 300.0
+    scheme: str,
+    request_: Request,
+    *,
+    guard: str = "error",
+    dt: float = 0.004,
+    stiffness: float = 300.0,
+    frames: int = 2,
 ) -> tuple[list, MeshMotion]:
     mesh = (
         tp.spring_box(stiffness=stiffness, damping=0.0)
@@ -56,9 +62,9 @@ def run(
     sink = Sink(8)
     motion.recorder.sink = sink
     motion.emit(0, 1)
-    for n in range(2):
+    for n in range(frames):
         motion.advance(n / 24, (n + 1) / 24, np.zeros(1))
-    motion.stepper.end_record(2 / 24)
+    motion.stepper.end_record(frames / 24)
     return sink.found, motion
 
 
@@ -93,6 +99,17 @@ def test_rows_hold_state_and_slope(cpu64, monkeypatch, scheme, serial):
         assert np.isclose(energy[0], 0.5 * (motion.mesh.mass[:, None] * v * v).sum())
     x, v = motion.system.read()
     assert np.array_equal(found[-1][2][0], x) and np.array_equal(found[-1][2][1], v)
+
+
+@pytest.mark.parametrize(("scheme", "serial"), CASES)
+def test_the_last_row_is_what_a_longer_run_has_there(cpu64, monkeypatch, scheme, serial):
+    if not serial:
+        monkeypatch.setattr(staged, "_WAKE", 0)
+    (short, _), (long, _) = run(scheme, Request(every=4)), run(scheme, Request(every=11), frames=3)
+    assert [row[0] for row in short] == [0, 4, 8, 12, 16, 20, 22]
+    assert [row[0] for row in long] == [0, 11, 22, 33]
+    for ours, theirs in zip(short[-1][2:], long[2][2:], strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 def test_recording_changes_nothing(cpu64):

@@ -80,10 +80,10 @@ class Recorder:
         """Memory for contacts."""
         return self._open().events
 
-    def end(self, t: float, slot: int) -> None:
-        """Record the state at `t` [s] after the last step, with the slope in register `slot`."""
-        rows = self._open()
-        self.record(slot)
+    def end(self, t: float) -> None:
+        """Note that the state at `t` [s] after the last step was recorded."""
+        rows = self.rows
+        assert rows is not None
         self._note(rows, np.array([self.step]), np.array([t]), 0.0)
 
     def hand_over(self) -> None:

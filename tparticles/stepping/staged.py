@@ -194,8 +194,8 @@ class StagedStepper:
         if page:
             self.stages.turn()
 
-    def _serial_steps(self, t: float, h: float, count: int) -> None:
-        """Take steps in one launch, with what comes between them."""
+    def _serial_steps(self, t: float, h: float, count: int, *, ends: bool = False) -> None:
+        """Take steps in one launch, with what comes between them; record what they lead to if the record `ends` there."""
         claimed = self.recorder.claim() if self.recorder else UNRECORDED
         result = self.stages.run(
             t,
@@ -205,8 +205,9 @@ class StagedStepper:
             self.fresh,
             *self.programs,
             self.driven,
-            self._paths(t, h, count),
+            self._paths(t, h, count + ends),
             self.system.parameters.array,
+            int(ends),
             *claimed,
         )
         self.held, self.fresh, bounces = (int(v) for v in result)
@@ -245,9 +246,12 @@ class StagedStepper:
         """Record the state that the last step has led to, at `t` [s], and give the record away."""
         assert self.recorder
         if self.recorder.step:
-            slot = self.table.scheme.registers
-            self.stages.evaluate(slot, t, self.last_h, self.system.parameters.array)
-            self.recorder.end(t, slot)
+            self.recorder.due = 0  # whatever the interval of the rows is
+            if self.serial:
+                self._serial_steps(t, self.last_h, 0, ends=True)
+            else:
+                self._record(t, self.last_h, self._paths(t, self.last_h, 1))
+            self.recorder.end(t)
         self.recorder.hand_over()
 
     def _halved(self, t: float, h: float, halvings: int) -> None:

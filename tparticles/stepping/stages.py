@@ -110,6 +110,7 @@ class Stages:
         driven: ti.types.ndarray(dtype=ti.i32, ndim=1),
         paths: ti.types.ndarray(ndim=3),
         values: ti.types.ndarray(ndim=1),
+        ends: ti.i32,
         due: ti.i32,
         row: ti.i32,
         state: ti.types.ndarray(ndim=1),
@@ -119,13 +120,14 @@ class Stages:
     ) -> ti.types.vector(3, ti.i32):
         """Take `count` steps of `h` from `t0` [s] with what comes between them, on one thread.
 
-        Return how many steps the past holds, whether k_0 is known, and how many vertices bounced.
+        `ends`: 1 to record where the last one leads to. Return how many steps the past holds, whether k_0 is known, and how many
+        vertices bounced.
         """
         ti.static(self.system.parameters.read_from(values))
         held, fresh, bounces = held0, fresh0, 0
         ti.loop_config(serialize=True)
         for _ in range(1):
-            for step in range(count):
+            for step in range(count + ends):
                 dt = ti.cast(h, float)
                 left, events = dt, 0
                 if ti.static(self.drives):
@@ -138,6 +140,8 @@ class Stages:
                             slot = self._probed(starting, fresh, t, left)
                             fresh = ti.select(ti.static(self.table.probe < 0), 1, fresh)
                             self.recorder.row(row + (step - due) // self.recorder.every, slot, state, energy, chosen)
+                        if step == count:
+                            break
                     self._program(2 * starting + fresh, t, left, passes, edges)
                     reached, hit = left, ti.cast(2.0, float)
                     if ti.static(self.exact):
@@ -169,7 +173,8 @@ class Stages:
                     if hit >= 1.0:
                         left = 0.0
                 if ti.static(self.drives):
-                    self._place(step + 1, driven, paths)
+                    if step < count:
+                        self._place(step + 1, driven, paths)
         return ti.Vector([held, fresh, bounces])
 
     @ti.func
