@@ -37,7 +37,7 @@ ALLOWED = {
     "frame": {"stepping"},
 }
 # The joins: a scene describes, a simulation runs. Nobody else sees both what moves and what draws.
-JOINS = {"scene", "simulation", "mesh_group", "mesh_motion"}
+JOINS = {"scene", "simulation", "particle_motion", "mesh_group", "mesh_motion"}
 ON_TOP = {
     "log",
     "regression",

@@ -31,6 +31,9 @@ class Parameters:
 
     def __init__(self) -> None:
         self.scalars: list[float] = []
+        self.structure: list[
+            Any
+        ] = []  # what kernels are compiled for: of two pools that are alike in it, only values differ
         self._tables: list[np.ndarray] = []
         self._length = 0
         self._array: np.ndarray | None = None
@@ -41,9 +44,11 @@ class Parameters:
         """Return a twin of `law` for use inside kernels, without the attributes in `skip`."""
         properties: dict[str, Any] = {}
         constants: dict[str, Any] = {}
+        self.structure.append(type(law))
         for name, value in (vars(law) | getattr(law, "derived", dict)()).items():
             if name in skip:
                 continue
+            self.structure.append((name, _kind(value)))
             if isinstance(value, float):
                 properties[name] = self._scalar(value)
             elif isinstance(value, tuple) and _is_vector(value):
@@ -112,6 +117,17 @@ class _Table:
 
     def __getitem__(self, i: Any) -> Any:
         return self._pool.load_table(self._first + i)
+
+
+def _kind(value: Any) -> Any:
+    """Return what of an attribute is compiled: the value itself, unless it goes to the pool or is bound in turn."""
+    if isinstance(value, float | np.ndarray) or (isinstance(value, tuple) and _is_vector(value)):
+        return type(value), np.shape(value)
+    if isinstance(value, tuple):
+        return tuple(map(_kind, value))
+    if value is None or isinstance(value, bool | int | str):
+        return type(value), value
+    return type(value), None if _is_bindable(value) else id(value)
 
 
 def _is_vector(value: tuple[Any, ...]) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .stepping.fused import StepReport
+from .stepping.report import StepReport
 
 
 @dataclass

@@ -20,8 +20,8 @@ from .render.wires import WireProjector
 from .schemes import Scheme
 from .stepping.contact import Contact
 from .stepping.control import Fixed, StabilityLimit, frame_step
-from .stepping.fused import StepReport
 from .stepping.recorder import Recorder
+from .stepping.report import StepReport
 from .stepping.rows import Request
 from .stepping.staged import StagedStepper
 from .systems.spring_mesh import SpringMesh, energies

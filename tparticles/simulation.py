@@ -9,151 +9,28 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import backend
-from .binding import Parameters
 from .errors import InputError, RunError
 from .frame import Frame, FrameReport
-from .physics.emitters import Schedule
+from .particle_motion import ParticleMotion, Plan, allocated
 from .render.appearance import film_background
 from .render.film import Dots, Film
-from .render.project import Projector, camera_row, draw
-from .scene import Group, Scene
-from .schemes import Scheme
-from .stepping.control import Fixed, StabilityLimit, check_precision, equal_steps, frame_step
-from .stepping.fused import FusedStepper, StepReport
-from .stepping.pace import memory
+from .render.project import camera_row
+from .scene import Scene
+from .stepping.control import check_precision
 from .stepping.rows import Request
-from .systems.attributes import Attribute, Columns, bytes_allocated
-from .systems.mortality import Mortality
-from .systems.population import WHOLE, Population, Share, schedules
-from .systems.view import View
+from .systems.attributes import bytes_allocated
+from .systems.population import WHOLE, Share
 
 if TYPE_CHECKING:
     from .mesh_motion import MeshMotion
 
 _FEW_DOTS, _MOST_DOTS = 1 << 14, 1 << 20  # dots handed to the film at a time: room for at least, at most
-_LEAST, _SMALL = 1 << 12, 1 << 16  # slots of a group, see `_roomy`
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What a group will need, worked out before anything is allocated. `dt` [s] is the step to hand to the kernel."""
-
-    spec: Group
-    births: list[Schedule]
-    capacity: int
-    names: tuple[str, ...]
-    more: tuple[Attribute, ...]
-    scheme: Scheme
-    dt: float
-
-    @classmethod
-    def of(cls, spec: Group, scene: Scene, share: Share) -> _Plan:
-        """Plan the `share` of a group of `scene`. Births are made up to the film's duration, whatever the frame rate."""
-        births = schedules(spec.name, spec.emitters, seed=scene.seed, end=scene.duration)
-        bound = spec.jacobian_bound() if isinstance(scene.steps, StabilityLimit) else None
-        scheme = scene.running_scheme
-        capacity = spec.derived_capacity(births, look=scene.look, frame=scene.longest_advance)
-        consecutive = capacity if spec.capacity is None else sum(schedule.total for schedule in births)
-        return cls(
-            spec,
-            births,
-            min(capacity, share.room(consecutive, len(births))),
-            spec.attributes(streaks=scene.shutter > 0),
-            memory(scheme, spec.components, adaptive=scene.adaptive) if spec.stepped else (),
-            scheme,
-            frame_step(
-                scene.steps, scheme=scheme, bound=bound, frame=float(1 / scene.fps), damping=spec.system.damping
-            ),
-        )
-
-
-def _roomy(capacity: int) -> int:
-    """Round a small derived capacity up to a power of two: kernels know their fields' sizes, and another rate shares them."""
-    return capacity if capacity > _SMALL else max(_LEAST, 1 << (capacity - 1).bit_length())
-
-
-class _Group:
-    """One allocated group."""
-
-    def __init__(self, plan: _Plan, scene: Scene, share: Share):
-        spec = self.spec = plan.spec
-        self.dt, self.scheme = plan.dt, scene.scheme
-        # Frames that are advanced together are cut into the steps of one: a longer one might not be stable.
-        self.unseen_dt = plan.dt if scene.stride == 1 else equal_steps(plan.dt, float(1 / scene.fps))
-        self.columns = Columns(plan.names, plan.capacity if spec.capacity else _roomy(plan.capacity), more=plan.more)
-        constants = spec.constants()
-        self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
-        self.stepper = None
-        if spec.stepped:
-            self.stepper = FusedStepper(
-                spec.system,
-                cooling=spec.cooling,
-                scheme=plan.scheme,
-                clamp=scene.clamp,
-                columns=self.columns,
-                size=constants.size,
-                tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
-            )
-        self.projector = Projector(self.view, spec.appearance, scene.look)
-        self.mortality = Mortality(
-            self.columns,
-            self.view,
-            region=spec.region,
-            frost=self.projector if spec.freezes else None,
-            ages=any(e.lifetime is not None for e in spec.emitters),
-        )
-        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births, share=share)
-
-    def snapshot(self) -> dict[str, np.ndarray | int | float]:
-        """Return all that the group's future depends on: what is computed anew for each frame is not part of it."""
-        return self.population.snapshot()
-
-    def restore(self, state: Mapping[str, np.ndarray | int | float]) -> None:
-        """Go on from a `snapshot`. Raises RunError if it is of another group."""
-        self.population.restore(state)
-
-    @property
-    def alive(self) -> int:
-        """How many particles there are."""
-        return self.population.alive
-
-    def emit(self, t0: float, t1: float) -> int:
-        """Let be born who is due between two times [s]; return how many."""
-        return self.population.emit(t0, t1)
-
-    def advance(self, t0: float, t1: float, camera: np.ndarray) -> tuple[StepReport, int]:
-        """Advance from `t0` to `t1` [s] and bury the dead; return the steps taken, and how many died.
-
-        Raises:
-            RunError: a particle went astray.
-        """
-        dt, steps = self.unseen_dt if t0 < 0.0 else self.dt, StepReport()
-        if self.stepper:
-            steps = self.stepper.advance(self.alive, t0, t1, dt, camera=camera)
-        died = self.mortality.mark(self.alive, t1, camera)
-        return steps, self.population.bury(self.mortality.dead, died)
-
-    def draw(self, film: Film, dots: Dots, *, t: float, shutter: float, camera: np.ndarray) -> None:
-        """Add the living to the film."""
-        draw(self.projector, film, dots, count=self.alive, t=t, shutter=shutter, camera=camera)
-
-    def state(self, t: float) -> dict[str, np.ndarray]:
-        """Return the arrays of the living at time `t` [s]."""
-        people = self.population
-        birth = people.read("birth")
-        state = {"id": people.read("id"), "x": people.read("x"), "birth": birth, "age": t - birth}
-        if "v" in self.columns:
-            state["v"] = people.read("v")
-        if self.spec.appearance.uses_temperature:
-            state["T"] = self.view.temperatures(people.alive, t)
-        return state
 
 
 class Simulation:
@@ -195,7 +72,7 @@ class Simulation:
         self.width, self.height = scene.resolution(quality)
         self.frame_seconds = 1 / scene.fps
         check_precision(scene.steps, self.backend.precision)
-        plans = [_Plan.of(group, scene, share) for group in scene.particles]
+        plans = [Plan.of(group, scene, share) for group in scene.particles]
         _check_memory(plans, self.backend.precision)
         self._camera_at = 0.0, camera_row(scene.camera.pose(0.0), self.width, self.height)
         # A cached kernel fits if its fields were created in the same order and laid out with the same others. So the film
@@ -204,10 +81,7 @@ class Simulation:
         room = 1 << (most - 1).bit_length()
         room = min(_MOST_DOTS, max(_FEW_DOTS, room))
         self.film, self.dots = make_film(scene, (self.width, self.height), capacity=room), Dots(room)
-        self.groups: list[_Group | MeshMotion] = []
-        for plan in plans:
-            backend.lay_out()
-            self.groups.append(_Group(plan, scene, share))
+        self.groups: list[ParticleMotion | MeshMotion] = [*allocated(plans, scene, share)]
         for spec in scene.meshes if share.index == 0 else ():  # whose vertices depend on each other: no shares of them
             from .mesh_motion import MeshMotion  # here: a film without meshes starts sooner
 
@@ -305,7 +179,7 @@ class Simulation:
         self._frame = counts["frame"]
         self._report = FrameReport(**counts, ms=ms)
 
-    def _advance(self, group: _Group | MeshMotion, report: FrameReport, t0: float, t1: float) -> None:
+    def _advance(self, group: ParticleMotion | MeshMotion, report: FrameReport, t0: float, t1: float) -> None:
         start = time.perf_counter()
         report.born += group.emit(t0, t1)
         middle = time.perf_counter()
@@ -354,7 +228,7 @@ def make_film(scene: Scene, size: tuple[int, int], *, capacity: int) -> Film:
     return film
 
 
-def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
+def _check_memory(plans: Sequence[Plan], precision: str) -> None:
     """Refuse what cannot fit before it is allocated."""
     needed = [plan.capacity * bytes_allocated(plan.names, precision, plan.more) for plan in plans]
     available = backend.memory()
@@ -369,6 +243,6 @@ def _check_memory(plans: Sequence[_Plan], precision: str) -> None:
 
 def room(scene: Scene, *, precision: str, share: Share = WHOLE) -> tuple[int, int]:
     """Return how many particles of a share can be alive at once, and the bytes that they take; allocates nothing."""
-    plans = [_Plan.of(group, scene, share) for group in scene.particles]
+    plans = [Plan.of(group, scene, share) for group in scene.particles]
     needed = [plan.capacity * bytes_allocated(plan.names, precision, plan.more) for plan in plans]
     return sum(plan.capacity for plan in plans), sum(needed)

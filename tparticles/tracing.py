@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
 import inspect
 import linecache
 import operator
@@ -37,6 +38,11 @@ _version_check: Any = ModuleType("taichi._version_check")
 _version_check.start_version_check_thread = lambda: None
 sys.modules.setdefault(_version_check.__name__, _version_check)
 
+# It looks for the sources of what was typed into an interpreter with dill, which takes a tenth of Taichi's import.
+_dill: Any = ModuleType("dill")
+_dill.__getattr__ = lambda name: getattr(importlib.import_module("dill"), name)
+_kept = sys.modules.setdefault("dill", _dill)
+
 _getframeinfo, _platform = inspect.getframeinfo, platform.platform
 inspect.getframeinfo = _frame_info  # type: ignore[assignment]
 platform.platform = platform.system  # all that is asked for is the system; the whole name takes a process
@@ -51,6 +57,8 @@ try:
     from taichi.lang.field import Field
 finally:
     inspect.getframeinfo, platform.platform = _getframeinfo, _platform
+    if _kept is _dill:
+        del sys.modules["dill"]
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
@@ -134,7 +142,7 @@ def _source_lines(function: Any) -> tuple[list[str], int, ast.Module | None]:
                 return found, first, ast.parse(textwrap.dedent("".join(found)))
             except SyntaxError:
                 continue
-    return *inspect.getsourcelines(function), None
+    return *kernel_impl.getsourcelines(function), None
 
 
 def _indentation(line: str) -> int:

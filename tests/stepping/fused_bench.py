@@ -10,7 +10,8 @@ import numpy as np
 from tparticles import schemes
 from tparticles.schemes import Scheme
 from tparticles.stepping.control import Tolerance
-from tparticles.stepping.fused import FusedStepper, StepReport
+from tparticles.stepping.fused import FusedStepper
+from tparticles.stepping.report import StepReport
 from tparticles.systems.attributes import Attribute, Columns
 
 SCHEMES = tuple(schemes.CATALOGUE.values())

@@ -67,7 +67,7 @@ class Projector:
         ti.static(self.view.parameters.read_from(values))
         ti.loop_config(serialize=ti.static(self.serial))
         for j in range(count):
-            i = first + j
+            i = self.view.columns.first + first + j
             age = ti.cast(self.view.age(i, t), ti.f32)
             size = ti.cast(self.view.size(i), ti.f32) + self.appearance.growth * age
             x = ti.cast(self.view.position(i), ti.f32)

@@ -10,7 +10,7 @@ they need, nor on whether they start, reject a step or wait for Newton's method.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportIndexIssue=false, reportOptionalSubscript=false
 # Kernel signatures are Taichi's, and traced values have no Python type.
 
-from dataclasses import dataclass
+import copy
 from typing import Any
 
 import numpy as np
@@ -21,26 +21,17 @@ from ..binding import Parameters
 from ..errors import InputError, RunError
 from ..schemes import Scheme
 from ..systems.attributes import Columns
-from ..systems.terms import FLOW_REGISTER, first_writers, heat
+from ..systems.terms import FLOW_REGISTER, first_writers, is_heated, right_hand_side
 from .block import Block
 from .control import Tolerance
 from .newton import Newton
 from .pace import LONGEST, NOBODY, Pace
+from .report import StepReport
 from .table import Table
 
 _COMBINE, _EVALUATE, _KICK, _DRIFT, _SOLVE, _ROTATE, _DIFFERENCE = range(7)
 _PARTS = 4096  # of a group on a GPU
 _RUN = 16  # blocks that a CPU thread takes in a row
-
-
-@dataclass(frozen=True)
-class StepReport:
-    """What one advance took: sub-steps over all particles, tries that were rejected, smallest and largest dt [s] (0: no step)."""
-
-    steps: int = 0
-    rejected: int = 0
-    dt_min: float = 0.0
-    dt_max: float = 0.0
 
 
 @ti.data_oriented
@@ -73,15 +64,12 @@ class FusedStepper:
         self.lanes = lanes or backend.current().lanes
         if columns.padded % self.lanes:
             raise InputError(f"blocks of {self.lanes} lanes do not fit columns that are padded to {columns.padded}")
-        self.columns = columns
+        self.columns, self.size = columns, size
         self.parameters = Parameters()
-        self.terms = system.terms(self.parameters)
-        self.state = [field for name in system.state for field in columns[name]]
-        self.heated = cooling is not None and cooling.integrated
-        if self.heated:
-            self.terms.append(heat(cooling, self.parameters, len(self.state)))
-            self.state += columns["T"]
-        self.size = size
+        self.terms = right_hand_side(system, cooling, self.parameters)
+        self.heated = is_heated(cooling)
+        self.state = [field for name in (*system.state, *["T"] * self.heated) for field in columns[name]]
+        self.compiled = self  # whose kernel runs
         # first-order particles have no velocity of their own; where one is wanted, it is the slope at the frame's end
         self.probes = system.order == 1 and "v" in columns
         components = len(self.state)
@@ -105,6 +93,14 @@ class FusedStepper:
         # A CPU thread gets no less than so many iterations of a loop: all but the first of them are idle.
         self.grain = backend.GRAIN if on.is_cpu and not self.serial else 1
 
+    def twin(self, system: Any, *, cooling: Any, columns: Columns, size: float) -> "FusedStepper":
+        """Return a stepper for other particles, in a part of the same columns, that runs this one's kernel: see `likeness`."""
+        twin = copy.copy(self)
+        twin.columns, twin.size, twin.parameters = columns, size, Parameters()
+        right_hand_side(system, cooling, twin.parameters)
+        assert twin.parameters.structure == self.parameters.structure
+        return twin
+
     def advance(self, count: int, t0: float, t1: float, dt: float, *, camera: np.ndarray | None = None) -> StepReport:
         """Advance the first `count` particles from `t0`, or from their birth if it is later, to `t1` [s] in steps <= `dt`.
 
@@ -116,18 +112,9 @@ class FusedStepper:
         if count == 0:
             return StepReport()
         target = np.zeros(1, np.float32) if self.tolerance is None else self.tolerance.numbers(t1 - t0, camera)
-        result = self._advance(
-            count,
-            t0,
-            t1,
-            dt,
-            self.size,
-            self.table.ops,
-            self.table.edges,
-            self.coefficients,
-            target,
-            self.parameters.array,
-        )
+        table, before = self.table, self.columns.first // self.lanes
+        program = table.ops, table.edges, self.coefficients
+        result = self.compiled._advance(before, count, t0, t1, dt, self.size, *program, target, self.parameters.array)
         steps, rejected, low, high, stuck = (int(v) for v in result)
         if stuck != NOBODY:
             raise RunError(self._why_stuck(stuck))
@@ -147,6 +134,7 @@ class FusedStepper:
     @ti.kernel
     def _advance(
         self,
+        before: ti.i32,
         count: ti.i32,
         t0: ti.f64,
         t1: ti.f64,
@@ -172,7 +160,16 @@ class FusedStepper:
                 while r < runs:
                     for block in range(r * self.run, ti.min(blocks, (r + 1) * self.run)):
                         n, no, low_, high_, slot = self._advance_block(
-                            block, count, t0, t1, dt, size, ops, edges, coefficients, target
+                            before + block,
+                            before * self.lanes + count,
+                            t0,
+                            t1,
+                            dt,
+                            size,
+                            ops,
+                            edges,
+                            coefficients,
+                            target,
                         )
                         taken += n
                         missed += no

@@ -23,10 +23,10 @@ from ..schemes import Scheme
 from ..systems.spring_mesh import SpringMesh
 from .contact import Contact
 from .control import CLAMPS
-from .fused import StepReport
 from .mesh_solver import MeshSolver, SolveResult
 from .passes import Passes
 from .recorder import UNRECORDED, Recorder
+from .report import StepReport
 from .stages import SOLVE, Stages
 from .table import Table
 from .walls import ROUNDS, Walls

@@ -22,7 +22,7 @@ from ..physics.mesh_builders import cloth
 from ..schemes import Scheme
 from ..stepping.contact import Contact
 from ..stepping.control import Tolerance
-from ..stepping.fused import StepReport
+from ..stepping.report import StepReport
 from ..stepping.staged import StagedStepper
 from ..systems.spring_mesh import SpringMesh
 from .ensemble import Run

@@ -17,8 +17,9 @@ from .. import backend, schemes
 from ..errors import BackendError
 from ..schemes import Scheme
 from ..stepping.control import Tolerance
-from ..stepping.fused import FusedStepper, StepReport
+from ..stepping.fused import FusedStepper
 from ..stepping.pace import memory
+from ..stepping.report import StepReport
 from ..systems.attributes import Attribute, Columns
 from .problems import Problem, system
 

@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import InputError, RunError
 from ..schemes import Scheme, doubled
 from ..stepping.control import ErrorControl, check_precision
-from ..stepping.fused import StepReport
+from ..stepping.report import StepReport
 from . import peers
 from .cloth import Cloth, MeshEnsemble
 from .ensemble import Ensemble, applicable, start_engine

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -61,6 +62,12 @@ def bytes_allocated(names: Iterable[str], precision: str, more: Iterable[Attribu
     return each + sum(int(kind[1:]) // 8 for kind in kinds) + 4
 
 
+def padded(capacity: int) -> int:
+    """Return so many slots in whole lane blocks."""
+    lanes = backend.current().lanes
+    return max(1, -(-capacity // lanes)) * lanes
+
+
 class Columns:
     """The particles' attributes as a structure of arrays: each scalar component in its own contiguous field.
 
@@ -81,13 +88,21 @@ class Columns:
             raise InputError(
                 f"{capacity} particles at once: at most {2**31 - 64} fit one group; split it into several groups"
             )
-        lanes = backend.current().lanes
         self.capacity = capacity
-        self.padded = max(1, -(-capacity // lanes)) * lanes
+        self.padded = padded(capacity)
+        self.first = 0  # the slot that the particles begin with
         self._fields = {
             attribute.name: tuple(ti.field(attribute.type, self.padded) for _ in range(attribute.components))
             for attribute in wanted
         }
+
+    def part(self, names: Iterable[str], first: int, capacity: int) -> Columns:
+        """Return the columns `names` from slot `first` on, which begins a lane block, with room for `capacity` particles."""
+        part = copy.copy(self)
+        part._fields = {name: fields for name, fields in self._fields.items() if name in set(names)}
+        part.names = tuple(part._fields)
+        part.first, part.capacity, part.padded = first, capacity, padded(capacity)
+        return part
 
     def __contains__(self, name: str) -> bool:
         return name in self._fields

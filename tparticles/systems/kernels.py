@@ -39,7 +39,7 @@ class EmitKernel:
 
     def emit(self, slot: int, births: Births, first: int, count: int, stride: int) -> None:
         """Write `count` of the newborns into the slots from `slot` on: `first`, first + stride, ... by their own ids."""
-        self._emit(self.key, slot, first, count, stride, births.spans, 0, self.parameters.array)
+        self._emit(self.key, self.columns.first + slot, first, count, stride, births.spans, 0, self.parameters.array)
 
     @ti.kernel
     def _emit(
@@ -161,7 +161,7 @@ class Compaction:
     def _squeeze_columns(self, count, fields: ti.template()):
         """Move the survivors' values in `fields`, whole runs where nobody is dead; return how many there are."""
         lanes, width = ti.static(self.lanes, self.lanes * _RUN)
-        to = 0
+        to, base = 0, ti.static(self.columns.first)
         for run in range((count + width - 1) // width):
             start, dead = run * width, 1
             if ti.static(self.in_runs):
@@ -173,7 +173,7 @@ class Compaction:
                 if to < start:
                     for slot in range(width):
                         for field in ti.static(fields):
-                            field[to + slot] = field[start + slot]
+                            field[base + to + slot] = field[base + start + slot]
                 to += width
             else:
                 for block in range(ti.min((count - start + lanes - 1) // lanes, _RUN)):
@@ -183,7 +183,7 @@ class Compaction:
                     while lives != 0:
                         i = first + lowest_bit(lives)
                         for field in ti.static(fields):
-                            field[to] = field[i]
+                            field[base + to] = field[base + i]
                         to += 1
                         lives &= lives - 1
         return to
@@ -212,12 +212,12 @@ class Compaction:
     def _move(self, count: ti.i32):
         for field in ti.static(self.columns.all()):
             for i in range(count):
-                self.scratch[field.dtype][i] = field[i]
+                self.scratch[field.dtype][i] = field[self.columns.first + i]
             for c in range((count + _CHUNK - 1) // _CHUNK):
                 to = self.offsets[c]
                 for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
                     if self._lives(i) == 1:
-                        field[to] = self.scratch[field.dtype][i]
+                        field[self.columns.first + to] = self.scratch[field.dtype][i]
                         to += 1
 
 

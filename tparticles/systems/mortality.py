@@ -71,14 +71,15 @@ class Mortality:
         ti.loop_config(serialize=ti.static(self.serial))
         for block in range((count + self.lanes - 1) // self.lanes):
             rolled(self.dead)
-            dead, lost = self._verdicts(block * self.lanes, ti.min(count - block * self.lanes, self.lanes), t, camera)
+            start = self.columns.first + block * self.lanes
+            dead, lost = self._verdicts(start, ti.min(count - block * self.lanes, self.lanes), t, camera)
             if ti.static(self.kills):
                 self.dead[block] = dead
             while dead != 0:
                 died += 1
                 dead &= dead - 1
             while lost != 0:
-                ti.atomic_min(astray, self.columns["id"][0][block * self.lanes + lowest_bit(lost)])
+                ti.atomic_min(astray, self.columns["id"][0][start + lowest_bit(lost)])
                 lost &= lost - 1
         return ti.Vector([died, astray])
 

@@ -141,7 +141,8 @@ class Population:
 
     def read(self, name: str) -> np.ndarray:
         """Return an attribute of the living as an array, shape (alive,) or (alive, components)."""
-        parts = [field.to_numpy()[: self.alive] for field in self.columns[name]]
+        living = slice(self.columns.first, self.columns.first + self.alive)
+        parts = [field.to_numpy()[living] for field in self.columns[name]]
         return parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
 
 

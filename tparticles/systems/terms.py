@@ -13,6 +13,7 @@ from typing import Any
 
 import taichi as ti
 
+from ..binding import Parameters
 from ..physics.law import flow_terms
 
 FLOW_REGISTER = -1
@@ -105,6 +106,26 @@ def heat(law: Any, parameters: Any, first: int) -> Term:
         return ti.Vector([law.rate(z[first], q[0], q[1])])
 
     return Term(law=parameters.bind(law), evaluate=rate, first=first, width=1)
+
+
+def is_heated(cooling: Any) -> bool:
+    """Whether the temperature is part of the state."""
+    return cooling is not None and cooling.integrated
+
+
+def right_hand_side(system: Any, cooling: Any, parameters: Parameters) -> list[Term]:
+    """Return the terms of a system, and of its cooling law if that is integrated."""
+    terms = system.terms(parameters)
+    if is_heated(cooling):
+        terms.append(heat(cooling, parameters, 3 * len(system.state)))
+    return terms
+
+
+def likeness(system: Any, cooling: Any) -> list[Any]:
+    """Return what of a right-hand side is compiled: where it is the same, one kernel serves both."""
+    parameters = Parameters()
+    terms = right_hand_side(system, cooling, parameters)
+    return [*parameters.structure, *((t.evaluate.__qualname__, t.first, t.width, t.passes) for t in terms)]
 
 
 def first_writers(terms: list[Term]) -> list[tuple[Term, bool]]:

@@ -80,11 +80,11 @@ class Transfer:
     ):
         for i in range(count):
             for k in ti.static(range(len(self.fields["i32"]))):
-                i32[k, i] = self.fields["i32"][k][i]
+                i32[k, i] = self.fields["i32"][k][self.columns.first + i]
             for k in ti.static(range(len(self.fields["f32"]))):
-                f32[k, i] = self.fields["f32"][k][i]
+                f32[k, i] = self.fields["f32"][k][self.columns.first + i]
             for k in ti.static(range(len(self.fields["f64"]))):
-                f64[k, i] = self.fields["f64"][k][i]
+                f64[k, i] = self.fields["f64"][k][self.columns.first + i]
 
     @ti.kernel
     def _write(
@@ -96,11 +96,11 @@ class Transfer:
     ):
         for i in range(count):
             for k in ti.static(range(len(self.fields["i32"]))):
-                self.fields["i32"][k][i] = i32[k, i]
+                self.fields["i32"][k][self.columns.first + i] = i32[k, i]
             for k in ti.static(range(len(self.fields["f32"]))):
-                self.fields["f32"][k][i] = f32[k, i]
+                self.fields["f32"][k][self.columns.first + i] = f32[k, i]
             for k in ti.static(range(len(self.fields["f64"]))):
-                self.fields["f64"][k][i] = f64[k, i]
+                self.fields["f64"][k][self.columns.first + i] = f64[k, i]
 
 
 @ti.data_oriented

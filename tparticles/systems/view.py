@@ -99,4 +99,4 @@ class View:
     def _temperatures(self, count: ti.i32, t: ti.f64, out: ti.types.ndarray(ndim=1), values: ti.types.ndarray(ndim=1)):
         ti.static(self.parameters.read_from(values))
         for i in range(count):
-            out[i] = self.temperature(i, t)
+            out[i] = self.temperature(self.columns.first + i, t)
