@@ -2,6 +2,7 @@
 
 # pyright: reportInvalidTypeForm=false, reportAttributeAccessIssue=false, reportUndefinedVariable=false
 
+import contextlib
 import inspect
 import os
 import subprocess
@@ -123,3 +124,32 @@ def test_errors_name_file_line_and_source(cpu):
         wrong()
     with pytest.raises(ti.TaichiNameError, match="no_such_name"):
         wrong()  # the same again: nothing is left of the first
+
+
+TYPED = """import taichi as ti
+from tparticles import backend
+_ = backend.start(arch="cpu")
+@ti.kernel
+def answer() -> ti.i32:
+    return 42
+
+print("the answer:", answer())
+exit()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an interpreter is typed into through a pseudo-terminal")
+def test_a_kernel_may_be_typed_into_an_interpreter():
+    import pty
+
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen([sys.executable, "-q"], stdin=theirs, stdout=theirs, stderr=theirs, close_fds=True)
+    os.close(theirs)
+    os.write(ours, TYPED.encode())
+    said = b""
+    with contextlib.suppress(OSError):  # how Linux says that the other end is closed
+        while more := os.read(ours, 4096):
+            said += more
+    os.close(ours)
+    assert process.wait(60) == 0
+    assert "the answer: 42" in said.decode()
