@@ -68,12 +68,13 @@ class Studio:
             field = group.columns["x"][0]
             x = field.to_numpy()
             kept.append((field, x.copy()))
-            x[mine] = 1e6
+            x[group.columns.first + mine] = 1e6
             field.from_numpy(x)
             state[group.spec.name] = {k: np.delete(v, mine, axis=0) for k, v in self.state[group.spec.name].items()}
         image = self.sim.draw(self.report)
-        for field, x in kept:
+        for field, x in reversed(kept):  # groups may share a field
             field.from_numpy(x)
+        assert np.array_equal(self.sim.draw(self.report), self.image), "the lost are back"
         return image, state
 
     def shifted(self, pixels):
