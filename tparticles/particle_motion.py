@@ -20,7 +20,8 @@ from .stepping.fused import FusedStepper
 from .stepping.pace import memory
 from .stepping.report import StepReport
 from .systems.attributes import Attribute, Columns, padded
-from .systems.mortality import Mortality
+from .systems.kernels import Compaction
+from .systems.mortality import Mortality, marks
 from .systems.population import Population, Share, schedules
 from .systems.terms import likeness
 from .systems.view import View
@@ -71,36 +72,41 @@ class Plan:
     def kind(self) -> list[Any]:
         """What groups are alike in that one kernel can step."""
         system, stored = self.spec.system, [name in self.names for name in ("v", "size")]
-        alone = not self.spec.stepped or self.room > _SMALL
-        own = self.spec.name if alone else likeness(system, self.spec.cooling)
-        return [own, type(system), system.velocity_free, stored, backend.current().in_one_thread(padded(self.room))]
+        serial = backend.current().in_one_thread(padded(self.room))
+        return [*likeness(system, self.spec.cooling), type(system), system.velocity_free, stored, serial]
 
 
-class _Family:
-    """Groups that one kernel steps: to get it ready takes longer than to step small groups. They share their columns."""
+class _Shared:
+    """What some groups share: their columns, compaction, and the kernel that steps those that are alike.
+
+    To get a kernel ready takes longer than what it does for a small group.
+    """
 
     def __init__(self, plans: Sequence[Plan], scene: Scene):
+        self._scene = scene
+        self._steppers: list[tuple[list[Any], FusedStepper]] = []
+        more: dict[str, Attribute] = {}
+        for attribute in sorted((a for plan in plans for a in plan.more), key=lambda a: a.components):
+            more[attribute.name] = attribute  # the widest
         rooms = [padded(plan.room) for plan in plans]
-        names = {name for plan in plans for name in plan.names}
-        columns = Columns(names, sum(rooms), more=plans[0].more)
-        self._scene, self._stepper = scene, None
-        self._columns = {
-            plan.spec.name: columns.part((*plan.names, *(a.name for a in plan.more)), first, plan.room)
+        whole = Columns({name for plan in plans for name in plan.names}, sum(rooms), more=more.values())
+        self.columns = {
+            plan.spec.name: whole.part(plan.names, first, plan.room, more=plan.more)
             for plan, first in zip(plans, np.cumsum([0, *rooms]).tolist(), strict=False)
         }
-
-    def columns(self, spec: Group) -> Columns:
-        """Return a member's part of the columns."""
-        return self._columns[spec.name]
+        mortal = any(plan.spec.mortal for plan in plans)
+        self.dead = marks(whole) if mortal else None
+        self.compaction = Compaction(whole, self.dead, divided=len(plans) > 1) if mortal else None
 
     def stepper(self, plan: Plan, size: float) -> FusedStepper | None:
-        """Return what steps a member whose particles have this diameter [m] where it is no attribute."""
-        spec, scene, columns = plan.spec, self._scene, self._columns[plan.spec.name]
+        """Return what steps a group whose particles have this diameter [m] where it is no attribute."""
+        spec, scene, columns = plan.spec, self._scene, self.columns[plan.spec.name]
         if not spec.stepped:
             return None
-        if self._stepper:
-            return self._stepper.twin(spec.system, cooling=spec.cooling, columns=columns, size=size)
-        self._stepper = FusedStepper(
+        for kind, stepper in self._steppers:
+            if kind == plan.kind:
+                return stepper.twin(spec.system, cooling=spec.cooling, columns=columns, size=size)
+        stepper = FusedStepper(
             spec.system,
             cooling=spec.cooling,
             scheme=plan.scheme,
@@ -109,28 +115,30 @@ class _Family:
             size=size,
             tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
         )
-        return self._stepper
+        self._steppers.append((plan.kind, stepper))
+        return stepper
 
 
 class ParticleMotion:
     """One group of particles, allocated. Arguments: see `allocated`."""
 
-    def __init__(self, plan: Plan, scene: Scene, share: Share, family: _Family):
+    def __init__(self, plan: Plan, scene: Scene, share: Share, shared: _Shared):
         spec = self.spec = plan.spec
         self.dt, self.scheme = plan.dt, scene.scheme
         # Frames that are advanced together are cut into the steps of one: a longer one might not be stable.
         self.unseen_dt = plan.dt if scene.stride == 1 else equal_steps(plan.dt, float(1 / scene.fps))
-        self.columns = family.columns(spec)
+        self.columns, self.compaction = shared.columns[spec.name], shared.compaction
         constants = spec.constants()
         self.view = View(self.columns, Parameters(), cooling=spec.cooling, constants=constants)
-        self.stepper = family.stepper(plan, constants.size)
+        self.stepper = shared.stepper(plan, constants.size)
         self.projector = Projector(self.view, spec.appearance, scene.look)
         self.mortality = Mortality(
             self.columns,
             self.view,
             region=spec.region,
             frost=self.projector if spec.freezes else None,
-            ages=any(e.lifetime is not None for e in spec.emitters),
+            ages=spec.ages,
+            dead=shared.dead,
         )
         self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births, share=share)
 
@@ -161,7 +169,7 @@ class ParticleMotion:
         if self.stepper:
             steps = self.stepper.advance(self.alive, t0, t1, dt, camera=camera)
         died = self.mortality.mark(self.alive, t1, camera)
-        return steps, self.population.bury(self.mortality.dead, died)
+        return steps, self.population.bury(self.compaction, died)
 
     def draw(self, film: Film, dots: Dots, *, t: float, shutter: float, camera: np.ndarray) -> None:
         """Add the living to the film."""
@@ -180,11 +188,10 @@ class ParticleMotion:
 
 
 def allocated(plans: Sequence[Plan], scene: Scene, share: Share) -> Iterator[ParticleMotion]:
-    """Allocate the groups of a scene, one after the other, by their plans for a `share` of the particles."""
-    kinds, families = [plan.kind for plan in plans], {}
-    for plan, kind in zip(plans, kinds, strict=True):
+    """Allocate the groups of a scene by their plans for a `share` of the particles; small ones share what they can."""
+    small = [plan for plan in plans if plan.room <= _SMALL]
+    backend.lay_out()
+    shared = _Shared(small, scene)
+    for plan in plans:
         backend.lay_out()
-        first = kinds.index(kind)
-        if first not in families:
-            families[first] = _Family([other for other, its in zip(plans, kinds, strict=True) if its == kind], scene)
-        yield ParticleMotion(plan, scene, share, families[first])
+        yield ParticleMotion(plan, scene, share, shared if plan.room <= _SMALL else _Shared([plan], scene))

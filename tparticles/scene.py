@@ -84,6 +84,16 @@ class Group:
         return self.too_cold and self.appearance.uses_temperature and self.cooling is not None
 
     @property
+    def ages(self) -> bool:
+        """Whether particles can die of age."""
+        return any(emitter.lifetime is not None for emitter in self.emitters)
+
+    @property
+    def mortal(self) -> bool:
+        """Whether particles can die."""
+        return self.ages or self.freezes or self.region is not None
+
+    @property
     def heated(self) -> bool:
         """Whether a cooling law integrates the temperature."""
         return self.cooling is not None and self.cooling.integrated

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import taichi as ti
 
 import tparticles as tp
 from tparticles import backend
 from tparticles.errors import InputError, RunError
 from tparticles.systems.attributes import Columns
 from tparticles.systems.kernels import FEW, Compaction
+from tparticles.systems.mortality import marks
 from tparticles.systems.population import Population, schedules
 
 pytestmark = pytest.mark.usefixtures("cpu32")
@@ -28,10 +28,6 @@ def room(cpu32, request):
     dead = marks(columns)
     assert (capacity > FEW) == (capacity == MOST)
     return columns, dead, Compaction(columns, dead, in_place=in_place)
-
-
-def marks(columns):
-    return ti.field(ti.i32, columns.padded // backend.current().lanes)
 
 
 def set_marks(dead, slots):
@@ -82,6 +78,23 @@ def test_masks_with_structure(room, mask):
     assert np.array_equal(columns["id"][0].to_numpy()[:survivors], before[3][:count][~chosen])
 
 
+@pytest.mark.parametrize("in_place", [True, False])
+def test_a_part_is_compacted_by_itself(cpu32, in_place):
+    columns = Columns(("x", "id"), 10_000)
+    dead = marks(columns)
+    first, count = 64 * backend.current().lanes, 3000
+    mask = np.random.default_rng(3).random(columns.padded) < 0.4
+    before = fill(columns, dead, mask, columns.padded)
+    survivors = Compaction(columns, dead, in_place=in_place, divided=True).run(count, first)
+    whole, lives = slice(first, first + count), ~mask[first : first + count]
+    assert survivors == lives.sum()
+    for field, values in zip(columns.all(), before, strict=True):
+        after = field.to_numpy()
+        assert np.array_equal(after[whole][:survivors], values[whole][lives])
+        assert np.array_equal(after[:first], values[:first]), "the particles before were touched"
+        assert np.array_equal(after[first + count :], values[first + count :])
+
+
 def emitter(name="spring", count=10, **options):
     return tp.Emitter(name=name, births=tp.Burst(count=count), lifetime=1.0, **options)
 
@@ -98,12 +111,13 @@ def test_the_books_balance(cpu32):
     assert people.emit(0.5, 1.0) == 0
     dead = marks(people.columns)
     set_marks(dead, np.arange(people.columns.padded) % 4 == 0)
-    assert people.bury(dead, 4) == 4
+    compaction = Compaction(people.columns, dead)
+    assert people.bury(compaction, 4) == 4
     assert (people.alive, people.born, people.died) == (11, 15, 4)
     assert people.read("id").tolist() == [2, 4, 6, 10, 12, 14, 18, 1, 3, 7, 9]
-    assert people.bury(dead, 0) == 0 and people.alive == 11
+    assert people.bury(compaction, 0) == 0 and people.alive == 11
     with pytest.raises(RunError, match="group 'drops': 8 alive, but 15 born and 6 died"):
-        people.bury(dead, 2)  # three are marked: somebody is lost
+        people.bury(compaction, 2)  # three are marked: somebody is lost
 
 
 def test_overflow_names_the_emitter_and_the_number(cpu32):

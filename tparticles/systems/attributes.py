@@ -62,6 +62,11 @@ def bytes_allocated(names: Iterable[str], precision: str, more: Iterable[Attribu
     return each + sum(int(kind[1:]) // 8 for kind in kinds) + 4
 
 
+def _attributes(names: Iterable[str], more: Iterable[Attribute]) -> list[Attribute]:
+    wanted = set(names)
+    return [*(attribute for name, attribute in ATTRIBUTES.items() if name in wanted), *more]
+
+
 def padded(capacity: int) -> int:
     """Return so many slots in whole lane blocks."""
     lanes = backend.current().lanes
@@ -81,8 +86,7 @@ class Columns:
     """
 
     def __init__(self, names: Iterable[str], capacity: int, *, more: Iterable[Attribute] = ()):
-        wanted = [ATTRIBUTES[name] for name in ATTRIBUTES if name in set(names)]
-        wanted += more
+        wanted = _attributes(names, more)
         self.names = tuple(attribute.name for attribute in wanted)
         if capacity >= 2**31 - 64:
             raise InputError(
@@ -96,10 +100,10 @@ class Columns:
             for attribute in wanted
         }
 
-    def part(self, names: Iterable[str], first: int, capacity: int) -> Columns:
-        """Return the columns `names` from slot `first` on, which begins a lane block, with room for `capacity` particles."""
+    def part(self, names: Iterable[str], first: int, capacity: int, *, more: Iterable[Attribute] = ()) -> Columns:
+        """Return some of the columns, from slot `first` on, which begins a lane block, with room for `capacity` particles."""
         part = copy.copy(self)
-        part._fields = {name: fields for name, fields in self._fields.items() if name in set(names)}
+        part._fields = {a.name: self._fields[a.name][: a.components] for a in _attributes(names, more)}
         part.names = tuple(part._fields)
         part.first, part.capacity, part.padded = first, capacity, padded(capacity)
         return part

@@ -120,11 +120,13 @@ class Compaction:
     On a GPU by a prefix sum over chunks of slots, through a scratch column. On a CPU each thread moves the survivors of its share
     of the columns in place: half of the memory traffic, no scratch, and one launch instead of two for every column.
     `dead` holds a bit for every slot of a block (see `Mortality`). `in_place` names the way; the backend's own by default.
+    `divided`: whether several groups have their particles in the columns.
     """
 
-    def __init__(self, columns: Columns, dead, *, in_place: bool | None = None):
+    def __init__(self, columns: Columns, dead, *, in_place: bool | None = None, divided: bool = False):
         running = backend.current()
         self.columns, self.dead, self.lanes = columns, dead, columns.padded // dead.shape[0]
+        self.divided = divided
         self.in_place = running.is_cpu if in_place is None else in_place
         self.in_runs = columns.padded > FEW
         if self.in_place:
@@ -134,17 +136,17 @@ class Compaction:
             self.offsets = ti.field(ti.i32, columns.padded // _CHUNK + 2)
             self.scratch = {kind: ti.field(kind, columns.padded) for kind in {f.dtype for f in columns.all()}}
 
-    def run(self, count: int) -> int:
-        """Compact the first `count` slots; return how many survive."""
+    def run(self, count: int, first: int = 0) -> int:
+        """Compact `count` slots from `first` on, which begins a lane block; return how many survive."""
         if self.in_place:
-            return self._squeeze(count)
-        survivors = self._scan(count)
+            return self._squeeze(first, count)
+        survivors = self._scan(first, count)
         if survivors < count:
-            self._move(count)
+            self._move(first, count)
         return survivors
 
     @ti.kernel
-    def _squeeze(self, count: ti.i32) -> ti.i32:
+    def _squeeze(self, first: ti.i32, count: ti.i32) -> ti.i32:
         survivors = 0
         # A range of 512 is the least that Taichi gives a thread of its own.
         ti.loop_config(serialize=ti.static(not self.in_runs))
@@ -152,23 +154,26 @@ class Compaction:
             if task % self.grain == 0:
                 for share, fields in ti.static(enumerate(self.shares)):
                     if task // self.grain == share:
-                        to = self._squeeze_columns(count, fields)
+                        to = self._squeeze_columns(first, count, fields)
                         if ti.static(share == 0):
                             survivors = to
         return survivors
 
     @ti.func
-    def _squeeze_columns(self, count, fields: ti.template()):
+    def _squeeze_columns(self, first_slot, count, fields: ti.template()):
         """Move the survivors' values in `fields`, whole runs where nobody is dead; return how many there are."""
         lanes, width = ti.static(self.lanes, self.lanes * _RUN)
-        to, base = 0, ti.static(self.columns.first)
+        to, base = 0, 0
+        if ti.static(self.divided):
+            base = first_slot
+        marks = base // lanes
         for run in range((count + width - 1) // width):
             start, dead = run * width, 1
             if ti.static(self.in_runs):
                 if start + width <= count:
                     dead = 0
                     for block in ti.static(range(_RUN)):
-                        dead |= self.dead[run * _RUN + block]
+                        dead |= self.dead[marks + run * _RUN + block]
             if dead == 0:
                 if to < start:
                     for slot in range(width):
@@ -179,7 +184,7 @@ class Compaction:
                 for block in range(ti.min((count - start + lanes - 1) // lanes, _RUN)):
                     rolled(self.dead)
                     first = start + block * lanes
-                    lives = ~self.dead[run * _RUN + block] & ((1 << ti.min(count - first, lanes)) - 1)
+                    lives = ~self.dead[marks + run * _RUN + block] & ((1 << ti.min(count - first, lanes)) - 1)
                     while lives != 0:
                         i = first + lowest_bit(lives)
                         for field in ti.static(fields):
@@ -193,12 +198,12 @@ class Compaction:
         return 1 - ((self.dead[i // self.lanes] >> (i % self.lanes)) & 1)
 
     @ti.kernel
-    def _scan(self, count: ti.i32) -> ti.i32:
+    def _scan(self, first: ti.i32, count: ti.i32) -> ti.i32:
         chunks = (count + _CHUNK - 1) // _CHUNK
         for c in range(chunks):
             survivors = 0
             for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
-                survivors += self._lives(i)
+                survivors += self._lives(first + i)
             self.offsets[c] = survivors
         total = 0
         ti.loop_config(serialize=True)
@@ -209,15 +214,15 @@ class Compaction:
         return total
 
     @ti.kernel
-    def _move(self, count: ti.i32):
+    def _move(self, first: ti.i32, count: ti.i32):
         for field in ti.static(self.columns.all()):
             for i in range(count):
-                self.scratch[field.dtype][i] = field[self.columns.first + i]
+                self.scratch[field.dtype][i] = field[first + i]
             for c in range((count + _CHUNK - 1) // _CHUNK):
                 to = self.offsets[c]
                 for i in range(c * _CHUNK, ti.min(count, (c + 1) * _CHUNK)):
-                    if self._lives(i) == 1:
-                        field[self.columns.first + to] = self.scratch[field.dtype][i]
+                    if self._lives(first + i) == 1:
+                        field[first + to] = self.scratch[field.dtype][i]
                         to += 1
 
 

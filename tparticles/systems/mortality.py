@@ -18,6 +18,11 @@ _NOBODY = 2**31 - 1
 _FAR = 1e18  # [m]; whoever is farther has blown up
 
 
+def marks(columns: Columns) -> Any:
+    """Return a field for who is dead: bit l of entry b stands for the particle in lane l of block b."""
+    return ti.field(ti.i32, columns.padded // backend.current().lanes)
+
+
 @ti.data_oriented
 class Mortality:
     """Marks the dead of one group.
@@ -28,11 +33,20 @@ class Mortality:
         frost: tells the temperature [K] below which a dot shows nothing, `coldest(camera, size, x)`, a `@ti.func`; None where
             nobody dies of cold.
         ages: whether there are lifetimes.
+        dead: `marks` of the columns, or of the whole that they are a part of; its own by default.
         vectorised: whether to look at a block's lanes together; by default if there can be many particles.
     """
 
     def __init__(
-        self, columns: Columns, view: View, *, region: Any, frost: Any, ages: bool, vectorised: bool | None = None
+        self,
+        columns: Columns,
+        view: View,
+        *,
+        region: Any,
+        frost: Any,
+        ages: bool,
+        dead: Any = None,
+        vectorised: bool | None = None,
     ):
         self.columns, self.view, self.ages = columns, view, ages
         self.frost: Any = frost
@@ -42,8 +56,7 @@ class Mortality:
         self.lanes = backend.current().lanes
         self.vectorised = self.lanes > 1 and (columns.padded > FEW if vectorised is None else vectorised)
         self.serial = backend.current().in_one_thread(columns.padded)
-        # Bit l of entry b: whether the particle in lane l of block b is dead.
-        self.dead = ti.field(ti.i32, columns.padded // self.lanes if self.kills else 1)
+        self.dead = marks(columns) if self.kills and dead is None else dead
 
     def mark(self, count: int, t: float, camera: np.ndarray) -> int:
         """Mark who is dead at time `t` [s] as seen by the camera row `camera`; return how many.
@@ -70,11 +83,11 @@ class Mortality:
         died, astray = 0, _NOBODY
         ti.loop_config(serialize=ti.static(self.serial))
         for block in range((count + self.lanes - 1) // self.lanes):
-            rolled(self.dead)
+            rolled(self.columns["id"][0])
             start = self.columns.first + block * self.lanes
             dead, lost = self._verdicts(start, ti.min(count - block * self.lanes, self.lanes), t, camera)
             if ti.static(self.kills):
-                self.dead[block] = dead
+                self.dead[ti.static(self.columns.first // self.lanes) + block] = dead
             while dead != 0:
                 died += 1
                 dead &= dead - 1

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -79,7 +78,6 @@ class Population:
             _Source(e, schedule, EmitKernel(e, columns, key=schedule.key, index=i, of=len(emitters)))
             for i, (e, schedule) in enumerate(zip(emitters, schedules, strict=True))
         ]
-        self._compaction: Compaction | None = None
         self._transfer: Transfer | None = None
 
     def emit(self, t0: float, t1: float) -> int:
@@ -104,17 +102,18 @@ class Population:
         self.born += self.alive - before
         return self.alive - before
 
-    def bury(self, dead: Any, died: int) -> int:
-        """Remove the `died` particles that are marked in the field `dead` (see `Mortality`); the others keep their order.
+    def bury(self, compaction: Compaction | None, died: int) -> int:
+        """Remove the `died` particles that are marked (see `Mortality`); the others keep their order.
+
+        `compaction` is of the columns, or of the whole that they are a part of; None if nobody can die.
 
         Raises:
             RunError: alive is no longer born - died.
         """
         self.died += died
         if died:
-            if self._compaction is None:
-                self._compaction = Compaction(self.columns, dead)
-            self.alive = self._compaction.run(self.alive)
+            assert compaction
+            self.alive = compaction.run(self.alive, self.columns.first)
         self._check()
         return died
 
