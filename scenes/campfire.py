@@ -22,11 +22,7 @@ def scene(
     eddies = tp.CurlNoise(
         speed=turbulence, length=0.9, octaves=3, gain=0.6, drift=(wind, 0.0, 1.6), period=1.6, ramp=0.5, seed=seed
     )
-    # Smaller ones tear the flame into tongues.
-    tongues = tp.CurlNoise(
-        speed=0.75, length=0.34, octaves=2, drift=(wind, 0.0, 2.2), period=0.7, ramp=0.2, seed=seed + 1
-    )
-    smoke = plume + eddies + tongues + tp.Uniform(wind=(wind, 0.0, 0.0))
+    smoke = plume + eddies + tp.Uniform(wind=(wind, 0.0, 0.0))
 
     sparks = tp.Group(
         name="sparks",
@@ -41,10 +37,13 @@ def scene(
         cooling=tp.Exponential(time=3.0, ambient=293.0),
         region=tp.Box(low=(-6.0, -4.0, -0.5), high=(6.0, 6.0, 8.0)),
     )
-    # Tongues of flame, drawn as soft, short-lived, optically thin blobs.
+    # Tongues of flame: the same smoke with smaller eddies on top, drawn as soft, short-lived, optically thin blobs.
+    tongues = tp.CurlNoise(
+        speed=0.75, length=0.34, octaves=2, drift=(wind, 0.0, 2.2), period=0.7, ramp=0.2, seed=seed + 1
+    )
     flames = tp.Group(
         name="flames",
-        system=tp.Advected(flow=smoke),
+        system=tp.Advected(flow=smoke + tongues),
         emitters=tp.Emitter(
             births=tp.Rate(rate=2200.0),
             shape=tp.Disc(center=(0.0, 0.0, 0.04), radius=0.27),

@@ -8,7 +8,7 @@ from small_scenes import WHITE, group, scene, simulate
 import tparticles as tp
 
 FLOW = tp.Vortex(circulation=2.0) + tp.CurlNoise(speed=0.8, octaves=2, period=0.7)
-BREEZE = tp.Vortex(circulation=-1.0) + tp.CurlNoise(speed=0.3, octaves=2, period=1.1)
+BREEZE = tp.Vortex(circulation=-1.0) + tp.CurlNoise(speed=0.3, octaves=3, period=1.1)
 DISC = tp.Disc(radius=0.4)
 
 

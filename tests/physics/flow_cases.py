@@ -24,7 +24,7 @@ class Case:
         keep = np.ones(count, bool)
         for term in getattr(self.flow, "flows", (self.flow,)):
             if isinstance(term, tp.CurlNoise):
-                for f in term.derived()["frequency"]:
+                for f in term.tables()["frequency"]:
                     p = (x - self.t * np.array(term.drift)) * f
                     keep &= (np.abs(p - np.round(p)) > margin * self.h * f).all(axis=1)
                 for edge in (term.ground, term.ground + term.ramp):

@@ -22,10 +22,7 @@ class FlowProbe:
 
     def __init__(self, flow: Any):
         self.parameters = Parameters()
-        self.terms = [
-            (self.parameters.bind(term), hasattr(term, "velocity_pass"), int(getattr(term, "passes", 1)))
-            for term in flow_terms(flow)
-        ]
+        self.terms = [(self.parameters.bind(term), hasattr(term, "velocity_pass")) for term in flow_terms(flow)]
 
     def __call__(self, x: np.ndarray, t: float = 0.0) -> np.ndarray:
         """Return u [m/s] at the points `x` (n, 3) [m], in the precision of the run."""
@@ -46,9 +43,9 @@ class FlowProbe:
         for i in range(x.shape[0]):
             p = ti.Vector([x[i, 0], x[i, 1], x[i, 2]])
             u = p * 0.0
-            for law, has_passes, passes in ti.static(self.terms):
-                if ti.static(has_passes):
-                    for o in range(passes):
+            for law, in_passes in ti.static(self.terms):
+                if ti.static(in_passes):
+                    for o in range(ti.cast(law.passes, ti.i32)):
                         u += law.velocity_pass(o, t, p)
                 else:
                     u += law.velocity(t, p)

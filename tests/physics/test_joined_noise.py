@@ -17,23 +17,27 @@ pytestmark = pytest.mark.usefixtures("cpu64")
 
 
 @pytest.mark.parametrize(
-    ("law", "passes"),
+    ("law", "octaves"),
     [
         (A + B, [5]),
-        (A + tp.Uniform() + B, [5, 1]),
+        (A + tp.Uniform() + B, [5, None]),
         (B + A + B, [7]),
         (A + FROZEN, [3, 2]),
         (FREE + A + FROZEN + FREE, [4, 3, 2]),
+        (A + B + B + B + A, [12]),
     ],
 )
-def test_noises_of_one_kind_become_one_term(law, passes):
-    assert [term.passes for term in flow(law, Parameters(), 0)] == passes
+def test_noises_of_one_kind_become_one_term(law, octaves):
+    pool = Parameters()
+    terms = flow(law, pool, 0)
+    assert [term.in_passes for term in terms] == [count is not None for count in octaves]
+    assert all(float(count) in pool.scalars for count in octaves if count)
 
 
 @pytest.mark.parametrize("parts", [(A, B), (B, A, B), (FROZEN, FROZEN), (FREE, FREE)])
 def test_they_move_particles_as_each_of_them_says(parts):
     """Against the noises one by one."""
-    first, *others = parts
+    first, *others = [part.as_octaves() for part in parts]
     joined = first
     for other in others:
         joined = joined.joined(other)

@@ -31,6 +31,7 @@ _RMS_TURNING = math.sqrt(4.38968 * 8 / 15)
 _GRADIENT = 21.4  # du/dx
 _SLOPE = 8.3  # u e^T + dp/dx
 _POTENTIAL = 1.13  # p e^T
+_ROOM = 8  # octaves: tables have room for multiples of them, so that fewer or more compile nothing
 
 
 @ti.func
@@ -114,13 +115,15 @@ class CurlNoise(Flow):
     ground: Finite = 0.0
     seed: Seed = 0
 
-    @property
-    def passes(self) -> int:
-        """One pass an octave: the stepper loops over them outside its lane loop, and the code is compiled once."""
-        return self.octaves
+    def derived(self) -> dict[str, np.ndarray | float | bool]:
+        """Return what each octave needs: lattice frequency [1/m], potential [m^2/s], half periods per second, seed, drift, ramp.
 
-    def derived(self) -> dict[str, np.ndarray | bool]:
-        """Return what each octave needs: lattice frequency [1/m], potential [m^2/s], half periods per second, seed, drift, ramp."""
+        `passes` is their number: the stepper loops over them outside its lane loop, and the code is compiled once.
+        """
+        return _with_room(self.tables())
+
+    def tables(self) -> dict[str, np.ndarray | bool]:
+        """Return `derived` without room for others."""
         o = np.arange(self.octaves)
         frequency = self.lacunarity**o / self.length
         shared = {"drift_x": self.drift[0], "drift_y": self.drift[1], "drift_z": self.drift[2]}
@@ -136,9 +139,9 @@ class CurlNoise(Flow):
             **{name: np.full(self.octaves, value, float) for name, value in shared.items()},
         }
 
-    def joined(self, other: object) -> Flow | None:
-        """Return one law for this noise and another, None if it is none or if but one of them swings or has a ramp."""
-        return _joined(self.derived(), other)
+    def as_octaves(self) -> "Octaves":
+        """Return the law that kernels have of this noise: the same for all that swing, or have a ramp, alike."""
+        return Octaves(self.tables())
 
     @ti.func
     def velocity_pass(self, o, t, x):
@@ -175,26 +178,32 @@ class CurlNoise(Flow):
         return _RMS_TURNING if self.period else _RMS
 
 
-class _Noises(Flow):
-    """The octaves of several noises: a kernel has the code of an octave once. Its attributes are what `derived` returns."""
+class Octaves:
+    """The octaves of a noise or of several: a kernel has the code of an octave once."""
 
     velocity_pass = CurlNoise.velocity_pass
 
-    def __init__(self, numbers: dict[str, np.ndarray | bool]):
-        vars(self).update(numbers)
+    def __init__(self, tables: dict[str, np.ndarray | bool]):
+        vars(self).update(tables)
 
-    @property
-    def passes(self) -> int:
-        """One pass an octave."""
-        return len(vars(self)["frequency"])
+    def derived(self) -> dict[str, np.ndarray | float | bool]:
+        """Return what `CurlNoise.derived` does."""
+        return _with_room(vars(self))
 
-    def joined(self, other: object) -> Flow | None:
-        """Return one law for these noises and another, see `CurlNoise.joined`."""
-        return _joined(vars(self), other)
+    def joined(self, other: object) -> "Octaves | None":
+        """Return one law for these octaves and others, None if it has none or if but one of them swings or has a ramp."""
+        if not isinstance(other, Octaves):
+            return None
+        ours, theirs = vars(self), vars(other)
+        if any(ours[flag] != theirs[flag] for flag in ("turning", "ramped")):
+            return None
+        return Octaves(
+            {name: np.append(v, theirs[name]) if isinstance(v, np.ndarray) else v for name, v in ours.items()}
+        )
 
 
-def _joined(numbers: dict[str, np.ndarray | bool], other: object) -> _Noises | None:
-    more = other.derived() if isinstance(other, CurlNoise) else {}
-    if any(more.get(flag) != numbers[flag] for flag in ("turning", "ramped")):
-        return None
-    return _Noises({name: np.append(numbers[name], v) if isinstance(v, np.ndarray) else v for name, v in more.items()})
+def _with_room(tables: dict[str, np.ndarray | bool]) -> dict[str, np.ndarray | float | bool]:
+    octaves = len(np.atleast_1d(tables["frequency"]))
+    padding = (0, -octaves % _ROOM)
+    found = {name: np.pad(v, padding) if isinstance(v, np.ndarray) else v for name, v in tables.items()}
+    return {"passes": float(octaves), **found}

@@ -348,7 +348,7 @@ class FusedStepper:
         """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term; the first to write a component sets it."""
         m = ti.static(len(self.state))
         for term, sets in ti.static(self.firsts):
-            for p in range(term.passes):
+            for p in range(term.passes()):
                 for lane in range(b.lanes):
                     # time since the frame began: what is done, plus the stage
                     tau = span - b.left[lane] + c * b.h[lane]
@@ -362,18 +362,18 @@ class FusedStepper:
                     )
                     for d in ti.static(range(term.width)):
                         if ti.static(term.first == FLOW_REGISTER):
-                            b.u[d][lane] = self._sum(sets, term.passes, p, b.u[d][lane], value[d])
+                            b.u[d][lane] = self._sum(term, sets, p, b.u[d][lane], value[d])
                         else:
                             i = slot + lane
-                            b.k[term.first + d][i] = self._sum(sets, term.passes, p, b.k[term.first + d][i], value[d])
+                            b.k[term.first + d][i] = self._sum(term, sets, p, b.k[term.first + d][i], value[d])
 
     @ti.func
-    def _sum(self, sets: ti.template(), passes: ti.template(), p, before, value):
+    def _sum(self, term: ti.template(), sets: ti.template(), p, before, value):
         total = before + value
-        if ti.static(sets and passes == 1):
-            total = value
-        elif ti.static(sets):
+        if ti.static(sets and term.in_passes):
             total = ti.select(p > 0, before, 0.0) + value
+        elif ti.static(sets):
+            total = value
         return total
 
     @ti.func

@@ -273,7 +273,7 @@ class SpringMesh:
     def push(self, b: ti.template(), t):
         """Add the accelerations beside the springs."""
         for term, sets in ti.static(self.terms):
-            for p in range(term.passes):
+            for p in range(term.passes()):
                 for lane in range(b.lanes):
                     value = term.evaluate(
                         term.law,

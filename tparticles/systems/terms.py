@@ -1,8 +1,8 @@
 """The right-hand side as a list of terms, the form in which the fused stepper walks it.
 
 A term adds `rate(p, t, z, u, q)` to `width` components of the slope from `first` on, or to the flow register u (`first` < 0): z the
-state, u the flow's velocity at the particle, q = (age, size). It runs `passes` times, an octave of a noise each: the
-loop over passes stays outside the lane loop, where it costs neither vectorisation nor compile time.
+state, u the flow's velocity at the particle, q = (age, size). The term of a noise runs once an octave, its law
+says how often: that loop stays outside the lane loop, where it costs neither vectorisation nor compile time.
 """
 
 # pyright: reportInvalidTypeForm=false
@@ -27,8 +27,16 @@ class Term:
     evaluate: Any
     first: int
     width: int
-    passes: int = 1
+    in_passes: bool = False
     resets_flow: bool = False  # clears the flow register first
+
+    @ti.func
+    def passes(self):
+        """Return how often it runs."""
+        count = 1
+        if ti.static(self.in_passes):
+            count = ti.cast(self.law.passes, ti.i32)
+        return count
 
 
 @ti.func
@@ -64,7 +72,7 @@ def flow(law: Any, parameters: Any, first: int) -> list[Term]:
             evaluate=_flow_pass if hasattr(term, "velocity_pass") else _flow,
             first=first,
             width=3,
-            passes=int(getattr(term, "passes", 1)),
+            in_passes=hasattr(term, "velocity_pass"),
             resets_flow=first == FLOW_REGISTER and k == 0,
         )
         for k, term in enumerate(_joined(flow_terms(law)))
@@ -72,9 +80,10 @@ def flow(law: Any, parameters: Any, first: int) -> list[Term]:
 
 
 def _joined(laws: Sequence[Any]) -> list[Any]:
-    """Return the summands, each joined to the first that takes it: what is compiled twice takes twice as long."""
+    """Return the summands, noises of a kind as one: what is compiled twice takes twice as long."""
     found: list[Any] = []
     for law in laws:
+        law = getattr(law, "as_octaves", lambda law=law: law)()
         for i, before in enumerate(found):
             both = before.joined(law) if hasattr(before, "joined") else None
             if both is not None:
@@ -125,7 +134,7 @@ def likeness(system: Any, cooling: Any) -> list[Any]:
     """Return what of a right-hand side is compiled: where it is the same, one kernel serves both."""
     parameters = Parameters()
     terms = right_hand_side(system, cooling, parameters)
-    return [*parameters.structure, *((t.evaluate.__qualname__, t.first, t.width, t.passes) for t in terms)]
+    return [*parameters.structure, *((t.evaluate.__qualname__, t.first, t.width) for t in terms)]
 
 
 def first_writers(terms: list[Term]) -> list[tuple[Term, bool]]:
