@@ -14,6 +14,8 @@ from tparticles import schemes
 from tparticles.errors import InputError, RunError
 from tparticles.render.project import camera_row
 from tparticles.stepping.control import ErrorControl, PixelTolerance, check_fit, check_precision
+from tparticles.studies.ensemble import Ensemble
+from tparticles.studies.work_problems import Kepler
 
 pytestmark = pytest.mark.usefixtures("cpu64")
 
@@ -62,7 +64,26 @@ def test_schemes_without_a_pair_run_by_step_doubling(swelling):
     assert error < 1e-6 and steps > 3 * COUNT
 
 
-@pytest.mark.parametrize("name", ["ab2", "abm4", "milne", "bdf2", "velocity-verlet", "crenshaw"])
+@pytest.fixture(scope="module")
+def planets(cpu64):
+    return Ensemble(Kepler(), Kepler().start(64), lanes=4)
+
+
+@pytest.mark.parametrize("name", [s.name for s in schemes.CATALOGUE.values() if s.one_step and s.system_orders == {2}])
+def test_splittings_run_by_step_doubling(planets, name):
+    scheme, turn = schemes.doubled(schemes.get(name)), 2 * math.pi
+    exact = Kepler().solution(turn, planets.start)
+    tolerances, errors, reports = {1: (1e-5, 1e-7), 2: (1e-6, 1e-9), 4: (1e-7, 1e-11)}[scheme.order], [], []
+    for rtol in tolerances:
+        run = planets.run(scheme, [turn / 2, turn], turn, tolerance=ErrorControl(rtol=rtol, atol=rtol))
+        errors.append(np.abs(run.states[-1] - exact).max())
+        reports.append(run.report)
+    fall = math.log(errors[0] / errors[1]) / math.log(tolerances[0] / tolerances[1])
+    assert fall == pytest.approx(scheme.order / (scheme.order + 1), abs=0.1)
+    assert reports[1].steps > reports[0].steps and reports[0].dt_max > 3 * reports[0].dt_min
+
+
+@pytest.mark.parametrize("name", ["ab2", "abm4", "milne", "bdf2", "beeman", "crenshaw"])
 @pytest.mark.parametrize("controller", [ErrorControl(), PixelTolerance()], ids=lambda c: type(c).__name__)
 def test_schemes_that_cannot_be_doubled_are_refused(name, controller):
     with pytest.raises(InputError, match=f"scheme '{name}': its error cannot be estimated by step doubling"):

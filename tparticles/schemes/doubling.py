@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from tparticles.errors import InputError
+from tparticles.schemes.construct import Draft
+from tparticles.schemes.construct import scheme as worked_out
 from tparticles.schemes.exact import Number
 from tparticles.schemes.program import Op, OpKind, Scheme
 from tparticles.schemes.stability import Stability
@@ -22,17 +24,19 @@ def doubled(scheme: Scheme) -> Scheme:
 
     The result is z_two, that of the two half steps; the estimate is (z_two - z_one) / (2^p - 1), p the order: to leading
     order the true solution less z_two. A scheme that has an error estimate is returned as it is.
-    Raises InputError, naming the scheme, if it kicks and drifts or looks back at earlier steps.
+    Raises InputError, naming the scheme, if it looks back at earlier steps.
     """
     if scheme.error_weights:
         return scheme
-    stability = scheme.stability
-    why = _refusal(scheme)
-    if why or not isinstance(stability, Stability):
+    if scheme.steps_back:
         raise InputError(
-            f"scheme '{scheme.name}': its error cannot be estimated by step doubling, {why or 'it is no one-step method'}; "
-            "take one with an embedded pair (bogacki-shampine, dormand-prince, tr-bdf2) or a one-step Runge-Kutta method"
+            f"scheme '{scheme.name}': its error cannot be estimated by step doubling, it looks back at earlier steps, "
+            "which are of one size; take a one-step scheme (bogacki-shampine, dormand-prince, tr-bdf2, velocity-verlet)"
         )
+    if any(op.kind in (OpKind.KICK, OpKind.DRIFT) for op in scheme.ops):
+        return _doubled_splitting(scheme)
+    stability = scheme.stability
+    assert isinstance(stability, Stability)  # that of a one-step method of slopes
     program = _Program()
     one = program.step(scheme.ops, start={}, begin=0.0, size=1.0)
     half = program.step(scheme.ops, start={}, begin=0.0, size=0.5)
@@ -55,12 +59,49 @@ def doubled(scheme: Scheme) -> Scheme:
     )
 
 
-def _refusal(scheme: Scheme) -> str:
-    if scheme.steps_back or any(op.variable for op in scheme.ops):
-        return "it looks back at earlier steps, which are of one size"
-    if any(op.kind in (OpKind.KICK, OpKind.DRIFT) for op in scheme.ops):
-        return "it moves x and v by turns, so that its result is no sum of slopes"
-    return ""
+def _doubled_splitting(scheme: Scheme) -> Scheme:
+    """Return the doubled scheme of one that moves x and v by turns: its results are no sums of slopes.
+
+    Each becomes one, its mean slope (z - z0) / dt, in a register of its own behind the scheme's. The step of dt comes first.
+    """
+    ops = _up_to_result(scheme.ops)
+    begins = [ops[0]] if ops[0] == Op(OpKind.EVALUATE) else []
+    kept = begins and all(op.slope or op.kind in (OpKind.KICK, OpKind.DRIFT) for op in ops[1:])
+    first = _scaled(ops[1:] if kept else ops, begin=0.0)
+    one, two = scheme.slopes, scheme.slopes + 1
+    draft = Draft(
+        ops=(
+            *ops,
+            Op(OpKind.DIFFERENCE, slope=one),
+            Op(OpKind.COMBINE),  # back to z0
+            *first,
+            *_scaled(ops, begin=0.5),
+            Op(OpKind.DIFFERENCE, slope=two),
+        ),
+        slopes=two + 1,
+    )
+    part = 1 / (2**scheme.order - 1)
+    return worked_out(
+        draft,
+        name=f"{scheme.name}-doubled",
+        order=scheme.order,
+        reference="; ".join(filter(None, (scheme.reference, _SOURCE))),
+        error_weights=(*(0.0,) * scheme.slopes, -part, part),
+        error_order=scheme.order,
+    )
+
+
+def _scaled(ops: Sequence[Op], *, begin: float) -> list[Op]:
+    """Return the ops of half a step from t + `begin` dt on."""
+    moves = (OpKind.KICK, OpKind.DRIFT)
+    return [
+        dataclasses.replace(op, weights=tuple(0.5 * weight for weight in op.weights))
+        if op.kind in moves
+        else dataclasses.replace(op, time=begin + 0.5 * op.time)
+        if op.kind is OpKind.EVALUATE
+        else op
+        for op in ops
+    ]
 
 
 class _Program:
@@ -120,7 +161,7 @@ class _Program:
 
 def _up_to_result(ops: Sequence[Op]) -> Sequence[Op]:
     """Return `ops` without those behind the result: a slope for the next step, and copies."""
-    moves = [i for i, op in enumerate(ops) if op.kind in (OpKind.COMBINE, OpKind.SOLVE)]
+    moves = [i for i, op in enumerate(ops) if op.kind not in (OpKind.EVALUATE, OpKind.ROTATE)]
     return ops[: moves[-1] + 1] if moves else ()
 
 

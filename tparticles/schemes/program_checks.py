@@ -164,9 +164,10 @@ def _check_registers(scheme: Scheme, where: str) -> None:
 
 def _check_result(scheme: Scheme, where: str) -> None:
     kinds = [op.kind.name for op in scheme.ops]
-    if scheme.reuses:
-        while kinds and kinds[-1] in {"EVALUATE", "ROTATE"}:
-            kinds.pop()
+    # Slopes for the next step, and one that an estimate of the error reads.
+    after = {"EVALUATE", "ROTATE"} if scheme.reuses else {"DIFFERENCE"} if scheme.error_weights else set()
+    while kinds and kinds[-1] in after:
+        kinds.pop()
     last = kinds[-1] if kinds else "nothing"
     if last not in _MOVES_STATE:
         allowed = "a COMBINE, KICK, DRIFT or SOLVE"

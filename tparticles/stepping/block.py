@@ -14,6 +14,10 @@ class Block:
     `k`: the slopes; component d of register j in lane l is k[d][j * lanes + l].
     """
 
+    z: list[Any]
+    z0: list[Any]
+    h: Any
+
     def __init__(self, layout: dict[str, int], vectors: list[Any], slopes: list[Any], lanes: int):
         self.k, self.lanes = slopes, lanes
         rest = iter(vectors)
@@ -36,3 +40,11 @@ class Block:
                 if taking[lane] > 0:
                     for d in ti.static(range(len(self.k))):
                         self.k[d][to * self.lanes + lane] = self.k[d][source * self.lanes + lane]
+
+    @ti.func
+    def difference(self, to, taking: ti.template()):
+        """Put the mean slope (z - z0) / dt into register `to`, for the lanes that are `taking` it."""
+        for lane in range(self.lanes):
+            for d in ti.static(range(len(self.k))):
+                i, value = to * self.lanes + lane, (self.z[d][lane] - self.z0[d][lane]) / self.h[lane]
+                self.k[d][i] = ti.select(taking[lane] > 0, value, self.k[d][i])

@@ -270,12 +270,17 @@ class FusedStepper:
                     for lane in range(b.lanes):
                         for d in ti.static(range(3)):
                             b.z[d][lane] += coefficients[op, 1] * b.h[lane] * b.z[3 + d][lane]
-            if ti.static(self.table.rotates):
-                if kind == _ROTATE:
+            if ti.static(self.table.rotates or self.table.differs):
+                if (kind == _ROTATE) | (kind == _DIFFERENCE):
                     going = ti.Vector([0] * ti.static(self.lanes))
                     for lane in range(b.lanes):
                         going[lane] = ti.select(b.h[lane] > 0.0, 1, 0)
-                    b.rotate(ops[op, 1], ops[op, 2], going, going.min())
+                    if ti.static(self.table.rotates):
+                        if kind == _ROTATE:
+                            b.rotate(ops[op, 1], ops[op, 2], going, going.min())
+                    if ti.static(self.table.differs):
+                        if kind == _DIFFERENCE:
+                            b.difference(ops[op, 1], going)
             if ti.static(not self.table.implicit):
                 if kind == _EVALUATE:
                     self._evaluate(b, ops[op, 1] * b.lanes, coefficients[op, 0], span, start)
@@ -388,8 +393,4 @@ class FusedStepper:
                 b.rotate(ops[op, 1], ops[op, 2], accepted, all_accepted)
             if ti.static(_DIFFERENCE in self.table.kinds):
                 if ops[op, 0] == _DIFFERENCE:
-                    to = ops[op, 1] * b.lanes
-                    for lane in range(b.lanes):
-                        for d in ti.static(range(len(self.state))):
-                            value = (b.z[d][lane] - b.z0[d][lane]) / b.h[lane]
-                            b.k[d][to + lane] = ti.select(accepted[lane] > 0, value, b.k[d][to + lane])
+                    b.difference(ops[op, 1], accepted)

@@ -81,6 +81,11 @@ class Table:
         return any(op.kind is OpKind.ROTATE for op in self.inner)
 
     @property
+    def differs(self) -> bool:
+        """Whether a mean slope is taken within a step."""
+        return any(op.kind is OpKind.DIFFERENCE for op in self.inner)
+
+    @property
     def shifts(self) -> bool:
         """Whether slopes are copied after a step."""
         return bool(self.edges[4] > self.edges[2])
