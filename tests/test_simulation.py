@@ -118,7 +118,19 @@ def test_frames_states_and_reports(whole):
         if number > 1:
             assert 4 * (alive - report.born) <= report.steps <= 4 * (alive + report.died)
         row = report.row()
-        assert set(row) == {"frame", "time", "born", "died", "alive", "steps", "rejected", "dt_min", "dt_max", "ms"}
+        assert set(row) == {
+            "frame",
+            "time",
+            "born",
+            "died",
+            "alive",
+            "steps",
+            "rejected",
+            "starting",
+            "dt_min",
+            "dt_max",
+            "ms",
+        }
         assert set(row["ms"]) == {"births", "step", "draw"} and all(v >= 0 for v in row["ms"].values())
     assert whole[0][4].born > 100, "the pre-roll is counted in the first frame"
     assert whole[2][4].born >= 50 and 40 <= len(whole[2][2]["smoke"]["id"]) <= 50

@@ -13,7 +13,7 @@ from .stepping.report import StepReport
 
 @dataclass
 class FrameReport:
-    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds."""
+    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds; `starting`: see `StepReport`."""
 
     frame: int
     time: float
@@ -22,6 +22,7 @@ class FrameReport:
     alive: int = 0
     steps: int = 0
     rejected: int = 0
+    starting: int = 0
     dt_min: float = 0.0
     dt_max: float = 0.0
     ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
@@ -37,6 +38,7 @@ class FrameReport:
             self.dt_min = min(self.dt_min, report.dt_min) if self.steps else report.dt_min
             self.dt_max = max(self.dt_max, report.dt_max)
             self.steps += report.steps
+            self.starting += report.starting
 
 
 @dataclass

@@ -252,7 +252,7 @@ class _Summed(Frame):
 def _count_in(report: FrameReport, row: dict[str, Any]) -> None:
     """Add up what the shards report; the time of a frame is that of all of them together."""
     report.time = row["time"]
-    for name in ("born", "died", "alive", "rejected"):
+    for name in ("born", "died", "alive", "rejected", "starting"):
         setattr(report, name, getattr(report, name) + row[name])
     for part in report.ms:
         report.ms[part] += row[f"ms {part}"]

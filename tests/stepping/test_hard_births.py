@@ -91,3 +91,22 @@ def test_a_death_and_a_birth_in_its_slot_do_not_inherit_a_past(swelling):
     first = advance(swelling, "ab4", x, birth, 0.05)
     advance(swelling, "ab4", [rng.uniform(2, 3, (COUNT, 3))], np.full(COUNT, T0), 0.013)
     assert np.array_equal(advance(swelling, "ab4", x, birth, 0.05), first)
+
+
+@by_scheme
+def test_steps_of_the_starter_are_counted(swelling, oscillator, scheme):
+    """Two frames of 8 steps: a particle that is born in the middle of a step starts anew at the next frame, but for schemes that
+    take steps of any size."""
+    bench = bench_of(scheme, swelling, oscillator)
+    for name in bench.system.state:
+        bench.set(name, np.ones((COUNT, 3)))
+    late = COUNT // 3
+    bench.set("birth", np.where(np.arange(COUNT) < late, 0.045, 0.0))
+    first, second = (bench.run(scheme, a, a + 0.8, 0.1, lanes=4) for a in (0.0, 0.8))
+    back = scheme.steps_back
+    assert (first.steps, second.steps) == (8 * COUNT, 8 * COUNT)
+    assert first.starting == back * COUNT
+    assert second.starting == (0 if scheme.variable_steps else back * late)
+    assert second.evaluations(scheme) == (8 * COUNT - second.starting) * scheme.evaluations + (
+        second.starting * scheme.starter.evaluations
+    )

@@ -115,11 +115,10 @@ class FusedStepper:
         table, before = self.table, self.columns.first // self.lanes
         program = table.ops, table.edges, self.coefficients
         result = self.compiled._advance(before, count, t0, t1, dt, self.size, *program, target, self.parameters.array)
-        steps, rejected, low, high, stuck = (int(v) for v in result)
+        *counts, stuck = (int(v) for v in result)
         if stuck != NOBODY:
             raise RunError(self._why_stuck(stuck))
-        low, high = (float(v) for v in np.array([low, high], np.int32).view(np.float32))
-        return StepReport(steps, rejected, low, high) if steps else StepReport(rejected=rejected)
+        return StepReport.of_bits(*counts)
 
     def _why_stuck(self, slot: int) -> str:
         who, floor = f"particle {self.columns['id'][0][slot]}", f"{self.pace.smallest:.2g} of a frame"
@@ -145,9 +144,10 @@ class FusedStepper:
         coefficients: ti.types.ndarray(ndim=2),
         target: ti.types.ndarray(dtype=ti.f32, ndim=1),
         values: ti.types.ndarray(ndim=1),
-    ) -> ti.types.vector(5, ti.i64):
+    ) -> ti.types.vector(6, ti.i64):
         ti.static(self.parameters.read_from(values))
-        steps, rejected, low, high, stuck = ti.cast(0, ti.i64), ti.cast(0, ti.i64), LONGEST, 0, NOBODY
+        steps, starting, rejected = ti.cast(0, ti.i64), ti.cast(0, ti.i64), ti.cast(0, ti.i64)
+        low, high, stuck = LONGEST, 0, NOBODY
         blocks = (count + self.lanes - 1) // self.lanes
         runs = (blocks + self.run - 1) // self.run
         ti.loop_config(serialize=ti.static(self.serial))
@@ -155,11 +155,12 @@ class FusedStepper:
             if task % self.grain == 0:
                 scalars = ti.Vector([values[i] for i in ti.static(range(len(self.parameters.scalars) + 1))])
                 ti.static(self.parameters.hoist(scalars))
-                taken, missed, shortest, longest = ti.cast(0, ti.i64), ti.cast(0, ti.i64), LONGEST, 0
+                taken, started, missed = ti.cast(0, ti.i64), ti.cast(0, ti.i64), ti.cast(0, ti.i64)
+                shortest, longest = LONGEST, 0
                 r = task // self.grain
                 while r < runs:
                     for block in range(r * self.run, ti.min(blocks, (r + 1) * self.run)):
-                        n, no, low_, high_, slot = self._advance_block(
+                        n, new, no, low_, high_, slot = self._advance_block(
                             before + block,
                             before * self.lanes + count,
                             t0,
@@ -172,6 +173,7 @@ class FusedStepper:
                             target,
                         )
                         taken += n
+                        started += new
                         missed += no
                         shortest, longest = ti.min(shortest, low_), ti.max(longest, high_)
                         if ti.static(self.pace.chooses):
@@ -179,12 +181,14 @@ class FusedStepper:
                                 ti.atomic_min(stuck, slot)
                     r += self.parts
                 ti.atomic_add(steps, taken)
+                if ti.static(self.pace.steps_back > 0):
+                    ti.atomic_add(starting, started)
                 if ti.static(self.pace.chooses):
                     ti.atomic_add(rejected, missed)
                 if taken > 0:
                     ti.atomic_min(low, shortest)
                     ti.atomic_max(high, longest)
-        return ti.Vector([steps, rejected, ti.cast(low, ti.i64), ti.cast(high, ti.i64), ti.cast(stuck, ti.i64)])
+        return ti.Vector([steps, starting, rejected, low, high, stuck], ti.i64)
 
     @ti.func
     def _advance_block(

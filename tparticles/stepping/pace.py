@@ -77,7 +77,7 @@ class Pace:
         if self.adaptive:
             names |= {"estimate": self.components, "error": 1}
         if self.steps_back:
-            names |= {"last": 1, "filled": 1, "ratio": 1}
+            names |= {"last": 1, "filled": 1, "ratio": 1, "started": 1}
         return names
 
     @ti.func
@@ -191,6 +191,8 @@ class Pace:
                 b.missed[lane] += ti.select((h > 0.0) & (fine == 0.0), 1.0, 0.0)
             b.ok[lane] = fine
             b.taken[lane] += fine
+            if ti.static(self.steps_back > 0):
+                b.started[lane] += ti.select(b.filled[lane] < self.steps_back, fine, 0.0)
             b.shortest[lane] = ti.min(b.shortest[lane], ti.select(fine > 0.0, h, ti.math.inf))
             b.longest[lane] = ti.max(b.longest[lane], fine * h)
         return stuck
@@ -268,13 +270,15 @@ class Pace:
 
     @ti.func
     def totals(self, b: ti.template(), stuck):
-        """Return steps, rejected tries, the bits of the smallest and of the largest step of the block as f32, and `stuck`."""
-        missed = 0
+        """Return steps, of them the starter's, rejected tries, the bits of the block's least and largest step as f32, `stuck`."""
+        missed, started = 0, 0
         if ti.static(self.chooses):
             missed = ti.cast(b.missed.sum(), ti.i32)
+        if ti.static(self.steps_back > 0):
+            started = ti.cast(b.started.sum(), ti.i32)
         low, high, taken = LONGEST, 0, 0
         for lane in range(b.lanes):
             taken += ti.cast(b.taken[lane], ti.i32)
             low = ti.min(low, ti.bit_cast(ti.cast(b.shortest[lane], ti.f32), ti.i32))
             high = ti.max(high, ti.bit_cast(ti.cast(b.longest[lane], ti.f32), ti.i32))
-        return taken, missed, low, high, stuck
+        return taken, started, missed, low, high, stuck

@@ -176,6 +176,7 @@ def _total(reports: Sequence[StepReport]) -> StepReport:
     return StepReport(
         steps=sum(report.steps for report in reports),
         rejected=sum(report.rejected for report in reports),
+        starting=sum(report.starting for report in reports),
         dt_min=min((report.dt_min for report in moved), default=0.0),
         dt_max=max((report.dt_max for report in moved), default=0.0),
     )

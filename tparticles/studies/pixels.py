@@ -21,6 +21,7 @@ from ..scene import Scene
 from ..schemes import Scheme
 from ..simulation import Simulation
 from ..stepping.control import ErrorControl, Fixed, PixelTolerance, check_precision
+from ..stepping.report import StepReport
 from .precision import Point, Precision, choices
 
 STEPS = (1, 2, 3, 4, 6, 8, 12, 16)  # per frame
@@ -52,7 +53,6 @@ class Track:
 
     dots: Dots
     seconds: float
-    tries: int
     steps: int
     evaluations: int
 
@@ -74,8 +74,8 @@ def track(scene: Scene, frame: int, *, precision: str, size: tuple[int, int], th
     for group in simulation.groups:
         state = group.state(report.time)
         dots[group.spec.name] = state["id"], state["x"].astype(float)
-    tries = report.steps + report.rejected
-    return Track(dots, clock[0], tries, report.steps, tries * scene.running_scheme.evaluations)
+    work = StepReport(steps=report.steps, rejected=report.rejected, starting=report.starting)
+    return Track(dots, clock[0], report.steps, work.evaluations(scene.running_scheme))
 
 
 def _watch(stepper: Any, clock: list[float], simulation: Simulation, dt: float) -> None:

@@ -264,14 +264,13 @@ def _timed(
     except (RunError, OverflowError):
         seconds, states, report = [time.perf_counter() - begin], np.full_like(exact, np.nan), StepReport()
     largest, median = errors(states, exact)
-    tried = (report.steps + report.rejected) / ensemble.count
     return Point(
         solver=name or scheme.name,
         control="fixed" if control is None else "error",
         precision=precision,
         setting=setting,
         seconds=min(seconds),
-        evaluations=tried * scheme.evaluations,
+        evaluations=report.evaluations(scheme) / ensemble.count,
         steps=report.steps / ensemble.count,
         largest=largest,
         median=median,
