@@ -20,10 +20,10 @@ from tparticles.studies.work_problems import WORKS
 @pytest.fixture(scope="module")
 def orbits():
     """A small study in f64: two schemes of orders 2 and 4."""
-    chosen = [schemes.get(name) for name in ("rk4", "velocity-verlet", "ab4")]
+    chosen = [schemes.get(name) for name in ("rk4", "velocity-verlet")]
     work = WORKS["kepler"]
     return precision.study(
-        "kepler", work, chosen[:2], precisions=["f64"], count=32, steps=[64, 128, 256, 512], tolerances=[1e-4, 1e-6, 1e-8],
+        "kepler", work, chosen, precisions=["f64"], count=32, steps=[64, 128, 256, 512], tolerances=[1e-4, 1e-6, 1e-8],
         peer_tolerances=[1e-4, 1e-6],
     )  # fmt: skip
 
@@ -42,11 +42,11 @@ def test_errors_fall_with_the_step_at_the_order_of_the_scheme(orbits, name, orde
     assert all(0 < p.median <= p.largest for p in points)
 
 
-def test_a_tighter_tolerance_costs_more_and_errs_less(orbits):
-    loose, middle, tight = line(orbits, "rk4", "error")
+@pytest.mark.parametrize("name", ["rk4", "velocity-verlet"])
+def test_a_tighter_tolerance_costs_more_and_errs_less(orbits, name):
+    loose, middle, tight = line(orbits, name, "error")
     assert loose.largest > middle.largest > tight.largest
     assert loose.evaluations < middle.evaluations < tight.evaluations
-    assert line(orbits, "velocity-verlet", "error") == []  # no estimate of its error
 
 
 @pytest.mark.skipif(not peers.has_scipy(), reason="scipy is an extra")
