@@ -179,6 +179,25 @@ def test_what_does_not_get_smaller_is_not_compressed(tmp_path):
     assert v < 0.05 < 0.5 < a < 0.8 < x < 1.05
 
 
+@pytest.mark.parametrize("last", [10, 13, 15, 17])
+def test_rows_are_taken_back_from_the_chunk_that_was_written_last(tmp_path, last):
+    """A chunk of 5 rows of noise, written as it is, or a part of one."""
+    noise = np.random.default_rng(1).random((last, 3, 4096), np.float32)
+    writer = LogWriter(tmp_path / "log.h5", {"groups": ["two"]}, [header(4096)], [])
+    (sink,) = writer.sinks
+    for first, end in ((0, last), (last - 3, last), (last - 3, last)):
+        rows, count = sink.take(), end - first
+        rows.step[:count] = rows.time[:count] = np.arange(first, end)
+        rows.state[:, :count], rows.filled = noise[first:end], count
+        sink.give(rows)
+        sink.rewind(last - 3, last - 3.0)
+    writer.close(complete=True)
+    with Log(tmp_path / "log.h5") as log:
+        two = log.meshes["two"]
+        assert two.step.tolist() == list(range(last - 3))
+        assert all(np.array_equal(two.state(row).a.T, noise[row]) for row in range(last - 3))
+
+
 @pytest.mark.parametrize(("text", "found"), [("0-3", [0, 1, 2, 3]), ("4,1-2, 2", [1, 2, 4]), ("7", [7])])
 def test_numbers(text, found):
     assert numbers(text) == found

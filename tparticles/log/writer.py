@@ -212,7 +212,12 @@ class _Writer:
     def _write_rewind(self, mesh: int, rows: int, time: float) -> None:
         group = self._meshes[mesh]
         for name in ("step", "time", "dt", "energy", *layout.STATE):
-            group[name].resize(rows, axis=0)
+            array = group[name]
+            if len(array):
+                # HDF5 remembers of the chunk that it looked up last that it was not there, though it was then written as it is,
+                # and fails to cut it. So it has to look another one up.
+                array.id.read_direct_chunk((0,) * array.ndim)
+            array.resize(rows, axis=0)
         contacts = group["contacts"]
         contacts.resize(int(np.searchsorted(contacts[:, 1], time)), axis=0)
 
