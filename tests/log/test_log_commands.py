@@ -278,3 +278,34 @@ def test_blender_opens_the_points(run, logged: Film, tmp_path: Path):
     assert found.type in ("POINTCLOUD", "MESH")
     assert {"velocity", "id", "displayColor", "radius"} <= set(found.data.attributes.keys())
     assert len(found.data.attributes["position"].data) == 8
+
+
+def test_a_full_disk_is_told_in_one_line(logged: Film, tmp_path: Path):
+    small = tmp_path / "small"
+    small.mkdir()
+    # the mount lives and dies with the shell's own name space
+    shell = f'mount -t tmpfs -o size=200k none "{small}" || exit 77; exec "$@"'
+    render = [
+        sys.executable,
+        "-m",
+        "tparticles",
+        "render",
+        logged.script,
+        "--out",
+        small / "o",
+        "--no-mp4",
+        "--log",
+        "--quiet",
+    ]
+    done = subprocess.run(
+        ["unshare", "--map-root-user", "--mount", "sh", "-c", shell, "sh", *map(str, render)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip(f"cannot mount a tmpfs: {done.stderr.strip()}")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: cannot write") and "No space left on device" in line

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, unknown
+from ..errors import InputError, RunError, unknown
 from ..frame import Frame, FrameReport
 from ..mesh_motion import MeshMotion
 from ..output.files import remove_leftovers
@@ -158,13 +158,13 @@ class LoggedSimulation:
         for motion, sink in zip(self._meshes, log.sinks, strict=True):
             assert motion.recorder
             motion.recorder.sink = sink
-        complete = False
-
         try:
             yield functools.partial(self._after, log)
-            complete = True
-        finally:
-            self._finish(log, complete=complete)
+        except BaseException:
+            with contextlib.suppress(RunError):  # what went wrong first is what is told
+                self._finish(log, complete=False)
+            raise
+        self._finish(log, complete=True)
         os.replace(path, path.with_name(layout.NAME))
 
     def _finish(self, log: LogWriter, *, complete: bool) -> None:

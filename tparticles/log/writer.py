@@ -11,6 +11,7 @@ import math
 import mmap
 import os
 import pickle
+import re
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -54,9 +55,10 @@ def main() -> None:
             file.truncate(size)
         writer = _Writer(path, header, meshes, particles, memory, earlier)
         writer.serve(source, reply)
-    except OSError as error:
-        reply("failed", error.strerror or str(error))
-        sys.exit(1)
+    except (OSError, RuntimeError) as error:  # h5py raises either, with HDF5's words in it
+        told = re.search(r"error message = '([^']+)'", str(error))
+        reply("failed", told[1] if told else getattr(error, "strerror", None) or str(error))
+        os._exit(1)  # what HDF5 still holds cannot be written either, and it would say so at length
 
 
 class _Writer:
