@@ -133,6 +133,26 @@ def test_an_implicit_scheme_never_grows(monkeypatch):
     assert (b.grows_at, b.blows_up_at, b.spread, b.index) == (None, None, None, None)
 
 
+@pytest.mark.skipif(not report.has_matplotlib(), reason="matplotlib is missing")
+def test_no_index_is_drawn_where_no_scheme_has_one(capfd, tmp_path, monkeypatch):
+    monkeypatch.setattr(box, "_IMPLICIT_HORIZON", 1)
+    (tmp_path / "box.json").write_text("{}")
+    (tmp_path / "box-index.png").write_bytes(b"of another run")
+    with pytest.raises(SystemExit) as left:
+        main(["study", "box", "--seeds", "1", "--scheme", "backward-euler", "--out", str(tmp_path)])
+    assert left.value.code == 0 and "no box-index.png" in capfd.readouterr().err
+    assert {p.name for p in tmp_path.iterdir()} == {"box.json", "box.csv", "box-time.png"}
+
+
+@pytest.mark.skipif(not report.has_matplotlib(), reason="matplotlib is missing")
+def test_labels_keep_apart():
+    from tparticles.studies.box_pictures import spread
+
+    assert spread([], 1.0).tolist() == []
+    assert spread([0.0, 5.0], 1.0).tolist() == [0.0, 5.0]
+    assert spread([0.0, 3.0, 3.0, 3.0, 9.0], 1.0).tolist() == [0.0, 2.0, 3.0, 4.0, 9.0]
+
+
 def test_what_is_said_of_it(found):
     from tparticles.studies.box_text import summary
 

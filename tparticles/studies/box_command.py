@@ -61,8 +61,14 @@ def command(options: Callable[..., Any], teller: Callable[[bool], Callable[[str]
                 drops=module.DROPS if drops is None else drops,
                 tell=teller(quiet),
             )
-            pictures = {"box-time": box_pictures.against_time, "box-index": box_pictures.index}
+            pictures = {"box-time": box_pictures.against_time}
+            if indexed := box_pictures.has_index(result):
+                pictures["box-index"] = box_pictures.index
+            else:  # one of another run would not belong to these numbers
+                (folder / "box-index.png").unlink(missing_ok=True)
             written = report.write(folder, "box", result, pictures)
+        if not indexed and not quiet:
+            click.echo("no box-index.png: no scheme both grew and blew up, so none has a performance index", err=True)
         if not report.has_matplotlib() and not quiet:
             click.echo(report.INSTALL, err=True)
         if as_json:
