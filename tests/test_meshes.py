@@ -1,5 +1,7 @@
 """Spring meshes in a scene: beside particles, in pictures and states, blown up, and put together wrongly."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from small_scenes import group, scene, simulate
@@ -104,6 +106,41 @@ def test_an_overstretched_spring_is_named():
     weight = tp.Mesh(x=[[0, 0, 0], [0, 0, -0.1]], springs=[[0, 1]], stiffness=0.1, mass=1.0).pin([0])
     with pytest.raises(RunError, match=r"spring 0 \(vertices 0 and 1\) is .* times as long as at rest \(at most 3\)"):
         list(simulate(film(mesh(mesh=weight, longest=3.0))).frames((24,)))
+
+
+BALL = tp.Ball(center=(0, 0, 0.5), radius=0.5)
+UNDAMPED = {
+    "rope": tp.rope(start=(-1, 0, 1.01), end=(1, 0, 1.01), count=32, length=2.2, stiffness=100).pin([0, 31]),
+    "falling rope": tp.rope(start=(-1, 0, 0.9), end=(1, 0, 1.2), count=40, stiffness=300),
+    "cloth": tp.cloth(counts=(14, 14), size=(1.0, 1.0), mass=0.2, stiffness=200).moved((0, 0, 1.2)),
+    "box": tp.spring_box(stiffness=500, damping=0).moved((0, 0, 2)).launched((0.5, 0.1, 0), spin=(3, 2, 1)),
+    "lattice": tp.lattice(counts=(5, 5, 5), size=0.8, stiffness=500).moved((0, 0, 1.6)),
+}
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("name", UNDAMPED)
+def test_steps_at_the_limit_bear_contacts(name, restitution):
+    """Undamped springs bounce, velocity Verlet takes the steps that StabilityLimit() gives, and the guard sees no energy come up.
+
+    By steps that are cut at every contact it did, within a second."""
+    surface = {"restitution": restitution, "friction": 0.4}
+    floor = () if name == "falling rope" else (dataclasses.replace(BALL, **surface),)
+    bouncing = mesh(mesh=UNDAMPED[name], colliders=(*floor, tp.Plane(**surface)))
+    simulation = simulate(film(bouncing, duration=3.0), precision="f64")
+    energies = [sum(simulation.groups[0].energies().values()) for _ in simulation.frames(range(1, 73))]
+    assert simulation.groups[0].stepper.contacts > 10
+    assert max(energies) < energies[0] * 1.1 and energies[-1] < energies[0]
+
+
+def test_what_begins_inside_a_collider_is_refused():
+    sunk = mesh(mesh=UNDAMPED["rope"].moved((0, 0, -0.1)), colliders=BALL)
+    with pytest.raises(InputError, match=r"group 'cloth': vertex 1[56] begins 0\.0887 m inside a collider; move"):
+        simulate(film(sunk))
+    inside = mesh(
+        mesh=UNDAMPED["rope"].pin(where=tp.Sphere(center=(0, 0, 1.01), radius=0.3)).moved((0, 0, -0.02)), colliders=BALL
+    )
+    next(simulate(film(inside)).frames((1,)))  # what is pinned may
 
 
 def test_the_limit_of_stability_is_one():

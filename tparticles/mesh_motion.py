@@ -24,10 +24,12 @@ from .stepping.recorder import Recorder
 from .stepping.report import StepReport
 from .stepping.rows import Request
 from .stepping.staged import StagedStepper
+from .stepping.stages import EXACT
 from .systems.spring_mesh import SpringMesh, energies
 from .systems.transfer import Contents
 
 _HALVINGS = 10
+_CUT = 0.7  # of its stable step is what a splitting bears whose steps are cut at contacts (Wright's effect)
 _NOWHERE = 0.5  # the part of the most energy that ever moved that may come from nowhere before it counts as a blow-up
 
 
@@ -133,6 +135,7 @@ class MeshMotion:
             x = self.mesh.x.copy()
             x[self.driven] = self._path(0.0)
             self.system.write(x, self.mesh.v)
+        self._check_start(contact)
         self.view = _View(self.system)
         self.projector = WireProjector(self.view, spec.appearance, look)
         self.born, self.gone = False, False
@@ -147,8 +150,25 @@ class MeshMotion:
                 f"group '{self.spec.name}': scheme '{self.scheme.name}' has no stable step on undamped springs: take another "
                 "scheme (velocity-verlet, rk4), give the springs some damping, or step with Fixed(dt)"
             )
+        safety = steps.safety
+        if self.spec.colliders and self.mesh.vertex_count <= EXACT and self.scheme.system_orders == {2}:
+            safety *= _CUT
         # springs set no pace for an implicit scheme, and none set none at all
-        return frame_step(Fixed(dt=min(steps.safety * self.stable, frame)), scheme=self.scheme, bound=None, frame=frame)
+        return frame_step(Fixed(dt=min(safety * self.stable, frame)), scheme=self.scheme, bound=None, frame=frame)
+
+    def _check_start(self, contact: Contact) -> None:
+        """Refuse what begins inside a collider, from where no step leads out."""
+        if not contact.any:
+            return
+        x, _ = self.system.read()
+        depth = np.where(self.mesh.pinned, 0.0, -contact.nearest(x, 0.0)[0])
+        deepest = int(depth.argmax())
+        if depth[deepest] > 10 * contact.slack:
+            raise InputError(
+                f"group '{self.spec.name}': vertex {deepest} begins {depth[deepest]:.3g} m inside a collider"
+                f"{f' (of the radius {self.spec.radius:g} m around it)' if self.spec.radius else ''}; "
+                "move the mesh or the collider, or pin the vertex"
+            )
 
     def _path(self, t: float) -> np.ndarray:
         """Return where the driven vertices are at time `t` [s], shape (d, 3)."""
@@ -215,6 +235,8 @@ class MeshMotion:
     def _watch(self, dt: float) -> None:
         """Find what has blown up."""
         advice = "" if math.isinf(self.stable) else f"; its stable step on these springs is {self.stable:.3g} s"
+        if self.spec.colliders and self.scheme.system_orders == {2} and dt > _CUT * self.stable:
+            advice += ", but contacts set swinging what such steps hardly bear: take StabilityLimit(safety=0.6) or some damping"
         advice = f"with steps of {dt:.3g} s of '{self.scheme.name}'{advice}"
         x, v = self.system.read()
         bad = np.flatnonzero(~(np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)))

@@ -18,7 +18,9 @@ from .table import Table
 
 SOLVE = int(OpKind.SOLVE)
 
-_EXACT = 512  # vertices: up to here the whole mesh goes back to the moment of a contact
+# Vertices: up to here the whole mesh goes back to the moment of a contact. Of more of them some touch in nearly every step, and
+# splittings gain energy by steps that are cut again and again.
+EXACT = 16
 _EVENTS = 32  # contacts in a step before they are resolved vertex by vertex
 _CHUNKS = 16  # of a mesh for each thread: loops within one are quicker than a call for every block of it
 
@@ -44,7 +46,7 @@ class Stages:
         self.edges = [int(edge) for edge in table.edges]
         self.per_block = BlockPasses(system, table, contact)
         self.steps_back = table.scheme.steps_back
-        self.exact = contact.any and system.count <= _EXACT and not table.implicit
+        self.exact = contact.any and system.count <= EXACT and not table.implicit
         self.kind = np.float64 if backend.current().precision == "f64" else np.float32
         cpu = backend.current().is_cpu
         self.width = max(1, system.blocks // (_CHUNKS * backend.current().threads)) if cpu else 1
