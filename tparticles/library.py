@@ -190,9 +190,10 @@ def find(scene: str) -> Path:
     try:
         if path.suffix not in _SUFFIXES and len(path.parts) < 2:
             found = [p for p in (SCENES / f"{scene}{suffix}" for suffix in _SUFFIXES) if p.is_file()]
-            if not scene or not found:
-                raise unknown("scene", scene, names())
-            return found[0].resolve()
+            if found and scene:
+                return found[0].resolve()
+            if not path.is_file():
+                raise _unknown_scene(scene)
         if path.is_dir():
             raise InputError(
                 f"scene '{scene}' is a folder: a Python, TOML or JSON file or a name in {SCENES}/ is needed"
@@ -200,10 +201,24 @@ def find(scene: str) -> Path:
         if not path.is_file():
             near = next((f"{scene}{s}" for s in _SUFFIXES if Path(f"{scene}{s}").is_file()), "")
             raise InputError(f"scene file '{scene}' does not exist" + (f"; did you mean '{near}'?" if near else ""))
+        if path.suffix not in _SUFFIXES:
+            raise InputError(f"'{scene}' is no scene: a .py, .toml or .json file, or a name in {SCENES}/, is needed")
     except (OSError, ValueError) as error:  # too long, NUL, no permission
         shown = scene if len(scene) <= _LONGEST else scene[:_LONGEST] + "..."
         raise InputError(f"scene '{shown}' cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return path.resolve()
+
+
+def _unknown_scene(scene: str) -> InputError:
+    """Build the error for a name that nothing in ./scenes has; where nothing is in there, it says where that is."""
+    found = names()
+    if found or not scene:
+        return unknown("scene", scene, found)
+    folder = SCENES.resolve()
+    return InputError(
+        f"unknown scene '{scene}': {'no scene is in' if folder.is_dir() else 'there is no folder'} {folder}; "
+        "give the path of a .py, .toml or .json file, or change to the folder that has scenes/"
+    )
 
 
 def names() -> list[str]:

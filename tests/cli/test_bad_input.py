@@ -20,6 +20,7 @@ BOUNDS = ("must be above 0 and at most 1000",)
         (("--size", "63x36"), ("63x36", "62x36 or 64x36", "--no-mp4")),
         (("--size", "63x35"), ("62x34 or 64x36",)),
         (("--size", "1x1"), ("2x2",)),
+        (("--size", "16384x16384"), ("too large for an MP4, take 16384x16128 or less", "--no-mp4")),
         *((("--fps", f), BOUNDS) for f in ("0", "-1", "1e9", "0/5", "1e-300")),
         *((("--fps", f), RATE) for f in ("nan", "abc", "1/0", "inf", "", "1e999999999", "24 fps")),
         (("--fps", "23.976023976"), ("did you mean 24000/1001?",)),
@@ -90,6 +91,22 @@ def test_an_unknown_scene_names_the_nearest(run, scene, tmp_path: Path) -> None:
     run("render", "a" * 300).refused(2, "cannot be read: File name too long")
     (tmp_path / "folder.py").mkdir()
     run("render", "folder.py").refused(2, "'folder.py' is a folder")
+
+
+def test_an_unknown_scene_says_where_it_was_looked_for(run, tmp_path: Path) -> None:
+    run("render", "campfire").refused(
+        2, f"unknown scene 'campfire': there is no folder {tmp_path}/scenes; give the path"
+    )
+    (tmp_path / "scenes").mkdir()
+    run("render", "campfire").refused(2, f"unknown scene 'campfire': no scene is in {tmp_path}/scenes; give the path")
+
+
+@pytest.mark.parametrize("file", ["a.txt", "./a", "a.PY", "x/.py", "x/a.txt"])
+@pytest.mark.parametrize("command", ["render", "describe"])
+def test_a_file_of_another_kind_is_no_scene(run, tmp_path: Path, command: str, file: str) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / file).write_text("def scene(quality): pass\n")
+    run(command, file).refused(2, f"'{file}' is no scene: a .py, .toml or .json file, or a name")
 
 
 SCRIPTS = {
