@@ -218,6 +218,18 @@ SCENES = {
     "tiny step": ({"more": ", steps=tp.Fixed(dt=1e-12)"}, ("steps of 1e-12 s",)),
     "too many": ({"births": "tp.Rate(rate=1e12)"}, ("particles",)),
     "no law": ({"head": "class Odd: pass", "system": "tp.Advected(flow=Odd())"}, ("tiny.py:9", "has no velocity")),
+    "law without @ti.func": (
+        {"head": "class Odd:\n    def velocity(self, t, x): return x", "system": "tp.Advected(flow=Odd())"},
+        ("tiny.py:10: `system=", "Advected.flow: Odd.velocity is no @ti.func"),
+    ),
+    "force without @ti.func": (
+        {"head": "class Odd:\n    def acceleration(self, t, x, v): return x", "system": "tp.Newtonian(forces=Odd())"},
+        ("tiny.py:10: `system=", "Newtonian.forces: Odd.acceleration is no @ti.func"),
+    ),
+    "law of other arguments": (
+        {"head": "class Odd:\n    @ti.func\n    def velocity(self, x): return x", "system": "tp.Advected(flow=Odd())"},
+        ("tiny.py:11: `system=", "Odd.velocity must take (self, t, x), not (self, x)"),
+    ),
     "no system": ({"system": "3"}, ("tiny.py:7", "Group.system = 3")),
     "law without bound": ({"law": "x", "more": ", steps=tp.StabilityLimit()"}, ("Odd has no jacobian_bound",)),
 }
@@ -237,7 +249,11 @@ LAWS = {
         ("tiny.py:8: `return nothing * x`: TaichiNameError", 'Name "nothing" is not defined'),
     ),
     "wrong size": ("ti.Vector([1.0, 2.0]) + x", ("tiny.py:8: `return ti.Vector([1.0, 2.0]) + x`: TaichiTypeError",)),
-    "a number": ("x[0]", ("tiny.py: a law of this script does not compile", "return a vector of 3")),
+    "a number": ("x[0]", ("group 'dots': Odd.velocity must return a vector of 3, not a number",)),
+    "a constant": ("3.0", ("group 'dots': Odd.velocity must return a vector of 3, not a number",)),
+    "a vector of 2": ("ti.Vector([x[0], t])", ("Odd.velocity must return a vector of 3, not one of shape (2,)",)),
+    "a tuple": ("x[0], x[1]", ("Odd.velocity must return a vector of 3, not one of shape (2,)",)),
+    "nothing": ("None", ("Odd.velocity must return a vector of 3, not nothing",)),
 }
 
 
@@ -246,6 +262,20 @@ def test_a_law_that_does_not_compile_is_shown_by_its_own_line(run, scene, name: 
     law, said = LAWS[name]
     scene(law=law)
     run("render", "tiny.py", "--no-mp4", "--quiet").refused(2, *said)
+
+
+def test_a_force_that_returns_a_number_is_named(run, scene) -> None:
+    head = "class Odd:\n    @ti.func\n    def acceleration(self, t, x, v):\n        return x.norm()"
+    mesh = "tp.MeshGroup(name='net', mesh=tp.rope(), forces=Odd(), scheme='velocity-verlet')"
+    for parts in ({"system": "tp.Newtonian(forces=Odd())"}, {"groups": mesh}):
+        scene(head=head, **parts)
+        said = ": Odd.acceleration must return a vector of 3, not a number"
+        run("render", "tiny.py", "--no-mp4", "--quiet", "--existing", "overwrite").refused(2, said)
+
+
+def test_a_law_that_divides_by_zero_while_it_is_compiled_makes_no_noise(process, scene) -> None:
+    scene(law="x * ti.sqrt(-1.0) if t > 0.1 else x * 0.0")
+    process("render", "tiny.py", "--no-mp4", "--quiet").refused(1, "frame 3, group 'dots': particle 0", "not finite")
 
 
 def test_a_law_that_returns_nan_names_frame_group_and_particle(process, scene, tmp_path: Path) -> None:
