@@ -19,6 +19,7 @@ PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "sl
 _LONGEST_SIDE = 16384  # [pixels] that x264 takes
 # ffmpeg counts 8 bytes for each pixel of a picture with a margin of 128, whatever the format, and that must fit 31 bits.
 _MARGIN, _LARGEST = 128, 2**28
+_OTHERWISE = "--no-mp4"
 _PATIENCE = 30.0  # [s] that an aborted ffmpeg gets to finish what it has
 _STUCK = 10.0  # [s] after which an aborted write is taken to wait for ever
 
@@ -149,22 +150,24 @@ class Mp4:
             self._temporary.unlink(missing_ok=True)
 
 
-def check_film(*, fps: Fraction, size: tuple[int, int]) -> None:
-    """Raise InputError where `Mp4` would, before a film is begun."""
-    _check(fps, size, 18, "medium", None)
+def check_film(*, fps: Fraction, size: tuple[int, int], otherwise: str = _OTHERWISE) -> None:
+    """Raise InputError where `Mp4` would, before a film is begun; `otherwise` is what it says can be done without one."""
+    _check(fps, size, 18, "medium", None, otherwise)
 
 
-def _check(fps: Fraction, size: tuple[int, int], crf: int, preset: str, threads: int | None) -> None:
+def _check(
+    fps: Fraction, size: tuple[int, int], crf: int, preset: str, threads: int | None, otherwise: str = _OTHERWISE
+) -> None:
     if fps <= 0:
         raise InputError(f"fps is {fps}: must be above 0")
     if min(size) < 1:
         raise InputError(f"size is {size[0]}x{size[1]}: must be at least 2x2")
     if size[0] % 2 or size[1] % 2:
-        raise InputError(f"size is {size[0]}x{size[1]}: an MP4 needs even sizes, {_even_sizes(size)} (or --no-mp4)")
+        raise InputError(f"size is {size[0]}x{size[1]}: an MP4 needs even sizes, {_even_sizes(size)} (or {otherwise})")
     if max(size) > _LONGEST_SIDE or (size[0] + _MARGIN) * (size[1] + _MARGIN) >= _LARGEST:
         width, height = _largest(size)
         raise InputError(
-            f"size is {size[0]}x{size[1]}: too large for an MP4, take {width}x{height} or less (or --no-mp4)"
+            f"size is {size[0]}x{size[1]}: too large for an MP4, take {width}x{height} or less (or {otherwise})"
         )
     if not 0 <= crf <= 51:
         raise InputError(f"crf is {crf}: must be 0 to 51")
