@@ -66,6 +66,8 @@ class Simulation:
         share: Share = WHOLE,
         records: Mapping[str, Request] | None = None,
     ):
+        if not isinstance(scene, Scene):
+            raise InputError(f"Simulation takes a Scene, not {type(scene).__name__}")
         options = {"size": size, "fps": fps, "seed": seed, "scheme": scheme}
         self.scene = dataclasses.replace(scene, **{k: v for k, v in options.items() if v is not None})
         self.backend = backend.start(arch=arch, threads=threads, precision=precision)

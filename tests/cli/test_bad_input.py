@@ -42,7 +42,7 @@ BOUNDS = ("must be above 0 and at most 1000",)
         (("--set", "=1"), ("name=value",)),
         (("--set", "rate=1", "--set", "rate=2"), ("--set rate is given twice",)),
         (("--set", "seed=1", "--seed", "2"), ("seed is given twice",)),
-        (("--set", "rate=-1"), ("tiny.py:10: `", "Rate.rate[0][1] = -1.0", "greater than or equal to 0")),
+        (("--set", "rate=-1"), ("tiny.py:10: `", "Rate.rate = -1.0", "greater than or equal to 0")),
         (("--seed", "-1"), ("--seed", "-1", "x>=0")),
         (("--seed", "abc"), ("--seed", "abc", "integer")),
         (("--threads", "0"), ("--threads", "0", "x>=1")),
@@ -161,8 +161,19 @@ LOOK_AT_ITSELF = (
     "tp.Camera(position=tp.Track(keys=((0.0, (0.0, -5.0, 0.0)), (0.25, (0.0, 0.0, 0.0)))), target=(0.0, 0.0, 0.0))"
 )
 SCENES = {
-    "negative rate": ({"births": "tp.Rate(rate=-1.0)"}, ("tiny.py:10: `emitters=", "Rate.rate[0][1] = -1.0")),
-    "NaN rate": ({"births": "tp.Rate(rate=float('nan'))"}, ("tiny.py:10", "Rate.rate[0][1] = nan", "finite")),
+    "negative rate": (
+        {"births": "tp.Rate(rate=-1.0)"},
+        ("tiny.py:10: `emitters=", "Rate.rate = -1.0: should be greater than or equal to 0"),
+    ),
+    "NaN rate": ({"births": "tp.Rate(rate=float('nan'))"}, ("tiny.py:10", "Rate.rate = nan", "finite")),
+    "negative keyed rate": (
+        {"births": "tp.Rate(rate=((0.0, 1.0), (1.0, -5.0)))"},
+        ("tiny.py:10", "Rate.rate[1][1] = -5.0: should be greater"),
+    ),
+    "rate of text": (
+        {"births": "tp.PerFrame(mean='9')"},
+        ("PerFrame.mean = '9': should be a number, or a list of (time, value)",),
+    ),
     "negative lifetime": ({"emitter": ", lifetime=-1.0"}, ("tiny.py:10", "emitter 'emitter'", "lifetime", "-1")),
     "zero lifetime": ({"emitter": ", lifetime=tp.Spread(mean=1.0, variance=1.0)"}, ("lifetime", "0")),
     "NaN wind": (
@@ -180,7 +191,7 @@ SCENES = {
     "empty window": ({"emitter": ", start=2.0, stop=1.0"}, ("stop = 1 s must be after start = 2 s",)),
     "no emitter": (
         {"groups": "tp.Group(name='a', system=group.system, emitters=(), appearance=group.appearance)"},
-        ("Group.emitters = ()", "at least 1"),
+        ("Group.emitters = (): at least 1 is needed",),
     ),
     "no group": ({"groups": "()"}, ("Scene.groups = ()", "at least 1")),
     "two of one name": ({"groups": "(group, group)"}, ("two groups are named 'dots'",)),
