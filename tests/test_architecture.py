@@ -56,6 +56,7 @@ ON_TOP |= {
     "data_scene",
     "job",
     "library",
+    "scene_files",
     "describe",
     "batch",
     "parameter",

@@ -325,6 +325,12 @@ def test_unknown_options_are_refused():
             tp.Simulation(SPARKS, **{"arch": "cpu", **options})
 
 
+def test_only_a_scene_is_simulated():
+    for other, kind in ((None, "NoneType"), ("campfire", "str")):
+        with pytest.raises(InputError, match=f"Simulation takes a Scene, not {kind}"):
+            tp.Simulation(other)
+
+
 def test_frame_times_are_fractions():
     sim = simulate(scene(group(lifetime=0.5), fps="30000/1001", duration=10.0))
     assert sim.scene.frame_count == 299, "frame 300 would show 10.01 s"

@@ -16,6 +16,7 @@ import stat
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -207,6 +208,8 @@ def _environment() -> dict[str, str]:
 
 
 def _initialise(backend: Backend) -> None:
+    # Taichi folds constants with NumPy: what a law makes of sqrt(-1.0) is found, and told, when it is run.
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"taichi\.lang\.")
     os.environ.pop("TI_ARCH", None)
     with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the architecture; stdout is for --json
         ti.init(

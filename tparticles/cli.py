@@ -165,7 +165,7 @@ def list_(as_json: bool) -> None:
 
     Those in ./scenes by name, those in ./scenes/data by path. They are read, not run; a broken one is listed with what is wrong.
     """
-    from . import library
+    from . import library, scene_files
 
     found = library.outlines()
     if as_json:
@@ -180,7 +180,7 @@ def list_(as_json: bool) -> None:
         if parameters:
             click.echo(f"{'':12} {parameters}")
     if not found:
-        click.echo(f"no scenes in {library.SCENES.resolve()}", err=True)
+        click.echo(f"no scenes in {scene_files.SCENES.resolve()}", err=True)
 
 
 @cli.command()

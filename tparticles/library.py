@@ -1,7 +1,5 @@
-"""Scenes: find them by name or path; scripts: read their parameters, run their `scene` function.
+"""Scenes: load them; scripts: read their parameters, run their `scene` function.
 
-A name is looked up in ./scenes: NAME.py first, then NAME.toml and NAME.json (see `data_scene`), so that a script and a document of
-one name can lie side by side; the document is then taken by its path.
 A script is a Python file with `def scene(quality, *, name=default, ...) -> Scene`. Whatever it raises is shown with the script's
 own line.
 """
@@ -18,7 +16,7 @@ import sys
 import traceback
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +26,12 @@ from pydantic import ValidationError
 from .data_scene.files import SUFFIXES, parse, read_text
 from .errors import InputError, TparticlesError, nearest, unknown
 from .parameter import Parameter
+from .scene_files import DATA, find, named
 from .spec import explain
 
 if TYPE_CHECKING:
     from .data_scene.source import DataScene
 
-SCENES = Path("scenes")
-DATA = SCENES / "data"  # the scripts of ./scenes written as data
-_SUFFIXES = (".py", *SUFFIXES)
 _LONGEST = 300  # characters shown of somebody else's message
 _LONGEST_LINE = 80  # and of a line of source
 
@@ -180,47 +176,6 @@ def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def find(scene: str) -> Path:
-    """Return the path of a scene: a file, or a name in ./scenes, where a script comes before a document.
-
-    Raises:
-        InputError: there is none; the nearest name is suggested.
-    """
-    path = Path(scene)
-    try:
-        if path.suffix not in _SUFFIXES and len(path.parts) < 2:
-            found = [p for p in (SCENES / f"{scene}{suffix}" for suffix in _SUFFIXES) if p.is_file()]
-            if not scene or not found:
-                raise unknown("scene", scene, names())
-            return found[0].resolve()
-        if path.is_dir():
-            raise InputError(
-                f"scene '{scene}' is a folder: a Python, TOML or JSON file or a name in {SCENES}/ is needed"
-            )
-        if not path.is_file():
-            near = next((f"{scene}{s}" for s in _SUFFIXES if Path(f"{scene}{s}").is_file()), "")
-            raise InputError(f"scene file '{scene}' does not exist" + (f"; did you mean '{near}'?" if near else ""))
-    except (OSError, ValueError) as error:  # too long, NUL, no permission
-        shown = scene if len(scene) <= _LONGEST else scene[:_LONGEST] + "..."
-        raise InputError(f"scene '{shown}' cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    return path.resolve()
-
-
-def names() -> list[str]:
-    """Return the names of the scenes in ./scenes."""
-    return sorted(_named(_SUFFIXES))
-
-
-def _named(suffixes: Sequence[str]) -> dict[str, Path]:
-    """Return the scenes in ./scenes by name; of several files of one name the one whose suffix comes first."""
-    found: dict[str, Path] = {}
-    for suffix in suffixes:
-        for path in SCENES.glob(f"*{suffix}"):
-            if not path.stem.startswith("_"):
-                found.setdefault(path.stem, path)
-    return found
-
-
 def _read(path: Path) -> str:
     try:
         data = path.read_bytes()
@@ -260,7 +215,7 @@ def load(scene: str) -> Script | DataScene:
 
 def _script_of_library(name: str) -> Script:
     """Load the script of that name in ./scenes, and no other file."""
-    scripts = _named((".py",))
+    scripts = named((".py",))
     if name not in scripts:
         raise unknown("script", name, scripts)
     return load_script(scripts[name].resolve())
@@ -336,7 +291,7 @@ class Outline:
 
 def outlines() -> list[Outline]:
     """Read the outlines of all scenes in ./scenes, by name, and then of those in ./scenes/data, by path."""
-    found = [outline(path) for _, path in sorted(_named(_SUFFIXES).items())]
+    found = [outline(path) for _, path in sorted(named().items())]
     data = sorted(path for suffix in SUFFIXES for path in DATA.glob(f"*{suffix}"))
     return found + [replace(outline(path), name=str(path)) for path in data]
 

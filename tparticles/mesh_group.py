@@ -12,7 +12,7 @@ from . import schemes
 from .errors import InputError
 from .physics.colliders import Surface
 from .physics.forces import Gravity
-from .physics.law import ForceLike
+from .physics.law import check_force
 from .physics.mesh import Mesh
 from .physics.mesh_rates import Rates, estimated_rates, largest_rates
 from .physics.repulsion import Repulsion
@@ -71,8 +71,7 @@ class MeshGroup:
     def __post_init__(self) -> None:
         here = f"group '{self.name}'"
         for force in self.forces:
-            if not isinstance(force, ForceLike):
-                raise InputError(f"{here}: {force!r} is no force: it has no acceleration(self, t, x, v)")
+            check_force(here, force)
         for collider in self.colliders:
             Surface.of(collider)
         self._check_repulsion(here)

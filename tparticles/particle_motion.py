@@ -140,7 +140,14 @@ class ParticleMotion:
             ages=spec.ages,
             dead=shared.dead,
         )
-        self.population = Population(spec.name, spec.emitters, columns=self.columns, schedules=plan.births, share=share)
+        self.population = Population(
+            spec.name,
+            spec.emitters,
+            columns=self.columns,
+            schedules=plan.births,
+            share=share,
+            enough=lambda: spec.most_alive(plan.births, look=scene.look, frame=scene.longest_advance),
+        )
 
     def snapshot(self) -> dict[str, np.ndarray | int | float]:
         """Return all that the group's future depends on: what is computed anew for each frame is not part of it."""

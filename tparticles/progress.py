@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 _WINDOW = 30.0  # [s] over which the speed is measured
+_TIMED = 3  # frames after the first that tell it at least: the first waits for the compiler, and what it had to simulate before
 _FIRST, _LONGEST = 5.0, 60.0  # [s] between two lines: a night's film must not fill a log
 
 
@@ -22,14 +23,13 @@ class Progress:
         self._name, self._total, self._quiet = name, total, quiet
         self._bar: Any = None
         self._task: Any = None
-        self._begun = False
         self._next_line, self._pause = 0.0, _FIRST
-        self._times: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
+        self._times: deque[tuple[float, int]] = deque()  # of the frames drawn: when, and how many there were
 
     def __enter__(self) -> Self:
         if not self._quiet and sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
             from rich.progress import Progress as Bar
 
             self._bar = Bar(
@@ -37,40 +37,39 @@ class Progress:
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("[cyan]{task.fields[alive]} alive"),
-                TextColumn("eta"),
-                TimeRemainingColumn(),
+                TextColumn("{task.fields[left]}", markup=False),
                 console=Console(stderr=True),
-                speed_estimate_period=_WINDOW,
             )
             self._bar.start()
-            self._task = self._bar.add_task(f"{self._name} (compiling)", total=self._total, alive=0)
+            self._task = self._bar.add_task(f"{self._name} (compiling)", total=self._total, alive=0, left="")
         return self
 
     def step(self, frame: Any, done: int) -> None:
         """Show that `done` frames are drawn, `frame` being the latest; the first call may find frames of an earlier run."""
-        if not self._begun:
-            self._begun = True
-            self._times[0] = self._times[0][0], done - 1
-            if self._bar is not None and done > 1:
-                self._bar.reset(self._task, completed=done - 1)
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done, alive=frame.report.alive, description=self._name)
-        elif not self._quiet:
-            self._line(frame, done)
-
-    def _line(self, frame: Any, done: int) -> None:
         now = time.monotonic()
         self._times.append((now, done))
-        while len(self._times) > 2 and now - self._times[0][0] > _WINDOW:
+        while len(self._times) > _TIMED + 1 and now - self._times[0][0] > _WINDOW:
             self._times.popleft()
+        if self._bar is not None:
+            told = {"alive": frame.report.alive, "left": self._left()}
+            self._bar.update(self._task, completed=done, description=self._name, **told)
+        elif not self._quiet:
+            self._line(frame, done, now)
+
+    def _left(self) -> str:
+        """Return how long the others will take, or an empty string where too few frames tell."""
+        (before, count), (now, done) = self._times[0], self._times[-1]
+        if done - count < _TIMED or done >= self._total:
+            return ""
+        return f"{duration((now - before) / (done - count) * (self._total - done))} left"
+
+    def _line(self, frame: Any, done: int, now: float) -> None:
         if now < self._next_line and done < self._total:
             return
         self._pause = min(1.5 * self._pause, _LONGEST)
         self._next_line = now + self._pause
-        before, count = self._times[0]
-        left = (now - before) / (done - count) * (self._total - done)
-        eta = f", {left:.0f} s left" if done < self._total else ""
-        line = f"{self._name}: frame {frame.number} ({done}/{self._total}), {frame.report.alive} alive{eta}"
+        left = f", {left}" if (left := self._left()) else ""
+        line = f"{self._name}: frame {frame.number} ({done}/{self._total}), {frame.report.alive} alive{left}"
         print(line, file=sys.stderr, flush=True)
 
     def __exit__(

@@ -150,12 +150,14 @@ class Group:
         """How many numbers the state of a particle has: x, v, and T where a cooling law integrates it."""
         return 3 * len(self.system.state) + self.heated
 
-    def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
+    def most_alive(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
         """Return how many particles can be alive at once, if the dead wait for so long, a frame [s], to be removed."""
-        if self.capacity is not None:
-            return self.capacity
         life = self.longest_life(look)
         return max(1, sum(schedule.most_alive(life, frame) for schedule in schedules))
+
+    def derived_capacity(self, schedules: Sequence[Schedule], *, look: Look, frame: float) -> int:
+        """Return the capacity that is given, or else `most_alive`."""
+        return self.capacity or self.most_alive(schedules, look=look, frame=frame)
 
     def jacobian_bound(self) -> Bound:
         """Return the bound on the rates of the whole right-hand side [1/s], integrated cooling included."""

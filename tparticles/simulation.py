@@ -26,6 +26,7 @@ from .stepping.control import check_precision
 from .stepping.rows import Request
 from .systems.attributes import bytes_allocated
 from .systems.population import WHOLE, Share
+from .systems.terms import LawError
 
 if TYPE_CHECKING:
     from .mesh_motion import MeshMotion
@@ -65,6 +66,8 @@ class Simulation:
         share: Share = WHOLE,
         records: Mapping[str, Request] | None = None,
     ):
+        if not isinstance(scene, Scene):
+            raise InputError(f"Simulation takes a Scene, not {type(scene).__name__}")
         options = {"size": size, "fps": fps, "seed": seed, "scheme": scheme}
         self.scene = dataclasses.replace(scene, **{k: v for k, v in options.items() if v is not None})
         self.backend = backend.start(arch=arch, threads=threads, precision=precision)
@@ -185,6 +188,8 @@ class Simulation:
         middle = time.perf_counter()
         try:
             steps, died = group.advance(t0, t1, self._camera(t1))
+        except LawError as error:
+            raise InputError(f"group '{group.spec.name}': {error.reason}") from None
         except RunError as error:
             raise RunError(
                 f"frame {self._frame + 1}, group '{group.spec.name}': {error} "

@@ -108,6 +108,8 @@ def explain(error: ValidationError, owner: str, names: Sequence[str] = ()) -> st
     elif first["type"] == "dataclass_type":
         kinds = (e.get("ctx", {})["class_name"] for e in same if e["type"] == "dataclass_type")
         text = f"{where} = {_short(first['input'])}: should be a {' or a '.join(dict.fromkeys(kinds))}"
+    elif first["type"] == "too_short":
+        text = f"{where} = {_short(first['input'])}: at least {first.get('ctx', {})['min_length']} is needed"
     else:
         reason = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
         text = f"{where} = {_short(first['input'])}: {reason}"

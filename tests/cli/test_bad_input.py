@@ -20,6 +20,7 @@ BOUNDS = ("must be above 0 and at most 1000",)
         (("--size", "63x36"), ("63x36", "62x36 or 64x36", "--no-mp4")),
         (("--size", "63x35"), ("62x34 or 64x36",)),
         (("--size", "1x1"), ("2x2",)),
+        (("--size", "16384x16384"), ("too large for an MP4, take 16384x16128 or less", "--no-mp4")),
         *((("--fps", f), BOUNDS) for f in ("0", "-1", "1e9", "0/5", "1e-300")),
         *((("--fps", f), RATE) for f in ("nan", "abc", "1/0", "inf", "", "1e999999999", "24 fps")),
         (("--fps", "23.976023976"), ("did you mean 24000/1001?",)),
@@ -41,7 +42,7 @@ BOUNDS = ("must be above 0 and at most 1000",)
         (("--set", "=1"), ("name=value",)),
         (("--set", "rate=1", "--set", "rate=2"), ("--set rate is given twice",)),
         (("--set", "seed=1", "--seed", "2"), ("seed is given twice",)),
-        (("--set", "rate=-1"), ("tiny.py:10: `", "Rate.rate[0][1] = -1.0", "greater than or equal to 0")),
+        (("--set", "rate=-1"), ("tiny.py:10: `", "Rate.rate = -1.0", "greater than or equal to 0")),
         (("--seed", "-1"), ("--seed", "-1", "x>=0")),
         (("--seed", "abc"), ("--seed", "abc", "integer")),
         (("--threads", "0"), ("--threads", "0", "x>=1")),
@@ -90,6 +91,22 @@ def test_an_unknown_scene_names_the_nearest(run, scene, tmp_path: Path) -> None:
     run("render", "a" * 300).refused(2, "cannot be read: File name too long")
     (tmp_path / "folder.py").mkdir()
     run("render", "folder.py").refused(2, "'folder.py' is a folder")
+
+
+def test_an_unknown_scene_says_where_it_was_looked_for(run, tmp_path: Path) -> None:
+    run("render", "campfire").refused(
+        2, f"unknown scene 'campfire': there is no folder {tmp_path}/scenes; give the path"
+    )
+    (tmp_path / "scenes").mkdir()
+    run("render", "campfire").refused(2, f"unknown scene 'campfire': no scene is in {tmp_path}/scenes; give the path")
+
+
+@pytest.mark.parametrize("file", ["a.txt", "./a", "a.PY", "x/.py", "x/a.txt"])
+@pytest.mark.parametrize("command", ["render", "describe"])
+def test_a_file_of_another_kind_is_no_scene(run, tmp_path: Path, command: str, file: str) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / file).write_text("def scene(quality): pass\n")
+    run(command, file).refused(2, f"'{file}' is no scene: a .py, .toml or .json file, or a name")
 
 
 SCRIPTS = {
@@ -144,8 +161,19 @@ LOOK_AT_ITSELF = (
     "tp.Camera(position=tp.Track(keys=((0.0, (0.0, -5.0, 0.0)), (0.25, (0.0, 0.0, 0.0)))), target=(0.0, 0.0, 0.0))"
 )
 SCENES = {
-    "negative rate": ({"births": "tp.Rate(rate=-1.0)"}, ("tiny.py:10: `emitters=", "Rate.rate[0][1] = -1.0")),
-    "NaN rate": ({"births": "tp.Rate(rate=float('nan'))"}, ("tiny.py:10", "Rate.rate[0][1] = nan", "finite")),
+    "negative rate": (
+        {"births": "tp.Rate(rate=-1.0)"},
+        ("tiny.py:10: `emitters=", "Rate.rate = -1.0: should be greater than or equal to 0"),
+    ),
+    "NaN rate": ({"births": "tp.Rate(rate=float('nan'))"}, ("tiny.py:10", "Rate.rate = nan", "finite")),
+    "negative keyed rate": (
+        {"births": "tp.Rate(rate=((0.0, 1.0), (1.0, -5.0)))"},
+        ("tiny.py:10", "Rate.rate[1][1] = -5.0: should be greater"),
+    ),
+    "rate of text": (
+        {"births": "tp.PerFrame(mean='9')"},
+        ("PerFrame.mean = '9': should be a number, or a list of (time, value)",),
+    ),
     "negative lifetime": ({"emitter": ", lifetime=-1.0"}, ("tiny.py:10", "emitter 'emitter'", "lifetime", "-1")),
     "zero lifetime": ({"emitter": ", lifetime=tp.Spread(mean=1.0, variance=1.0)"}, ("lifetime", "0")),
     "NaN wind": (
@@ -163,7 +191,7 @@ SCENES = {
     "empty window": ({"emitter": ", start=2.0, stop=1.0"}, ("stop = 1 s must be after start = 2 s",)),
     "no emitter": (
         {"groups": "tp.Group(name='a', system=group.system, emitters=(), appearance=group.appearance)"},
-        ("Group.emitters = ()", "at least 1"),
+        ("Group.emitters = (): at least 1 is needed",),
     ),
     "no group": ({"groups": "()"}, ("Scene.groups = ()", "at least 1")),
     "two of one name": ({"groups": "(group, group)"}, ("two groups are named 'dots'",)),
@@ -201,6 +229,18 @@ SCENES = {
     "tiny step": ({"more": ", steps=tp.Fixed(dt=1e-12)"}, ("steps of 1e-12 s",)),
     "too many": ({"births": "tp.Rate(rate=1e12)"}, ("particles",)),
     "no law": ({"head": "class Odd: pass", "system": "tp.Advected(flow=Odd())"}, ("tiny.py:9", "has no velocity")),
+    "law without @ti.func": (
+        {"head": "class Odd:\n    def velocity(self, t, x): return x", "system": "tp.Advected(flow=Odd())"},
+        ("tiny.py:10: `system=", "Advected.flow: Odd.velocity is no @ti.func"),
+    ),
+    "force without @ti.func": (
+        {"head": "class Odd:\n    def acceleration(self, t, x, v): return x", "system": "tp.Newtonian(forces=Odd())"},
+        ("tiny.py:10: `system=", "Newtonian.forces: Odd.acceleration is no @ti.func"),
+    ),
+    "law of other arguments": (
+        {"head": "class Odd:\n    @ti.func\n    def velocity(self, x): return x", "system": "tp.Advected(flow=Odd())"},
+        ("tiny.py:11: `system=", "Odd.velocity must take (self, t, x), not (self, x)"),
+    ),
     "no system": ({"system": "3"}, ("tiny.py:7", "Group.system = 3")),
     "law without bound": ({"law": "x", "more": ", steps=tp.StabilityLimit()"}, ("Odd has no jacobian_bound",)),
 }
@@ -220,7 +260,11 @@ LAWS = {
         ("tiny.py:8: `return nothing * x`: TaichiNameError", 'Name "nothing" is not defined'),
     ),
     "wrong size": ("ti.Vector([1.0, 2.0]) + x", ("tiny.py:8: `return ti.Vector([1.0, 2.0]) + x`: TaichiTypeError",)),
-    "a number": ("x[0]", ("tiny.py: a law of this script does not compile", "return a vector of 3")),
+    "a number": ("x[0]", ("group 'dots': Odd.velocity must return a vector of 3, not a number",)),
+    "a constant": ("3.0", ("group 'dots': Odd.velocity must return a vector of 3, not a number",)),
+    "a vector of 2": ("ti.Vector([x[0], t])", ("Odd.velocity must return a vector of 3, not one of shape (2,)",)),
+    "a tuple": ("x[0], x[1]", ("Odd.velocity must return a vector of 3, not one of shape (2,)",)),
+    "nothing": ("None", ("Odd.velocity must return a vector of 3, not nothing",)),
 }
 
 
@@ -229,6 +273,20 @@ def test_a_law_that_does_not_compile_is_shown_by_its_own_line(run, scene, name: 
     law, said = LAWS[name]
     scene(law=law)
     run("render", "tiny.py", "--no-mp4", "--quiet").refused(2, *said)
+
+
+def test_a_force_that_returns_a_number_is_named(run, scene) -> None:
+    head = "class Odd:\n    @ti.func\n    def acceleration(self, t, x, v):\n        return x.norm()"
+    mesh = "tp.MeshGroup(name='net', mesh=tp.rope(), forces=Odd(), scheme='velocity-verlet')"
+    for parts in ({"system": "tp.Newtonian(forces=Odd())"}, {"groups": mesh}):
+        scene(head=head, **parts)
+        said = ": Odd.acceleration must return a vector of 3, not a number"
+        run("render", "tiny.py", "--no-mp4", "--quiet", "--existing", "overwrite").refused(2, said)
+
+
+def test_a_law_that_divides_by_zero_while_it_is_compiled_makes_no_noise(process, scene) -> None:
+    scene(law="x * ti.sqrt(-1.0) if t > 0.1 else x * 0.0")
+    process("render", "tiny.py", "--no-mp4", "--quiet").refused(1, "frame 3, group 'dots': particle 0", "not finite")
 
 
 def test_a_law_that_returns_nan_names_frame_group_and_particle(process, scene, tmp_path: Path) -> None:
@@ -240,7 +298,10 @@ def test_a_law_that_returns_nan_names_frame_group_and_particle(process, scene, t
 def test_an_overflow_names_emitter_and_number(run, scene) -> None:
     parts = "name='dots', system=group.system, emitters=group.emitters, appearance=group.appearance"
     scene(groups=f"tp.Group({parts}, capacity=2)")
-    run("render", "tiny.py", "--no-mp4", "--quiet").refused(1, "group 'dots', emitter 'emitter'", "the capacity is 2")
+    said = ("group 'dots', emitter 'emitter'", "the capacity is 2", "raise Group.capacity to 30 or leave it out")
+    run("render", "tiny.py", "--no-mp4", "--quiet").refused(1, *said)
+    scene(groups=f"tp.Group({parts}, capacity=30)")
+    assert run("render", "tiny.py", "--no-mp4", "--quiet").code == 0
 
 
 def test_a_named_architecture_never_falls_back(run, scene, tmp_path: Path) -> None:

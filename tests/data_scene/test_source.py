@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from documents import SCRIPT, TINY, built
 
-from tparticles import library
+from tparticles import library, scene_files
 from tparticles.errors import InputError
 from tparticles.job import Job, Options
 
@@ -38,14 +38,14 @@ def refusal(scene: str, **settings: Any) -> str:
 
 
 def test_of_a_script_and_a_document_of_one_name_the_script_is_taken(folder: Path) -> None:
-    assert library.names() == ["plain", "tiny"]
-    assert library.find("tiny").suffix == ".py"
-    assert library.find("plain") == folder / "scenes" / "plain.toml"
-    assert library.find("scenes/tiny.toml").suffix == ".toml"
+    assert scene_files.names() == ["plain", "tiny"]
+    assert scene_files.find("tiny").suffix == ".py"
+    assert scene_files.find("plain") == folder / "scenes" / "plain.toml"
+    assert scene_files.find("scenes/tiny.toml").suffix == ".toml"
     with pytest.raises(InputError, match=r"does not exist; did you mean 'scenes/plain.toml'\?"):
-        library.find("scenes/plain")
+        scene_files.find("scenes/plain")
     with pytest.raises(InputError, match=r"unknown scene 'plan'; did you mean 'plain'\?"):
-        library.find("plan")
+        scene_files.find("plan")
 
 
 def test_outlines_run_nothing_and_go_on_past_what_is_broken(folder: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import taichi as ti
 from documents import FEW, SCRIPTS, TINY, TWINS, built, of_its_own
 from hypothesis import given
 from hypothesis import strategies as st
@@ -152,7 +153,9 @@ def test_a_mesh_that_tears_in_places() -> None:
 
 
 class Breeze:
-    def velocity(self, t, x): ...
+    @ti.func
+    def velocity(self, t, x):
+        return x
 
 
 class MyUniform(tp.Uniform):

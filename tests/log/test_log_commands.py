@@ -82,6 +82,12 @@ def exported(run, logged: Film, path: Path, kind: str, *options: Any) -> Path:
     return path
 
 
+def test_folders_may_be_called_as_they_like(run, logged: Film, tmp_path: Path):
+    assert run("replay", logged.log, "--range", "1-1", "--out", tmp_path / "run.2", "--size", "64x36")[0] == 0
+    (tmp_path / "a.vtu").mkdir()
+    exported(run, logged, tmp_path / "a.vtu", "ply", "--range", "1-1")
+
+
 def test_tables(run, logged: Film, log: Log, tmp_path: Path):
     state = log.meshes["box"].state(4)
     rows = list(
@@ -195,6 +201,9 @@ BAD = (
     (("replay", "{log}", "--step", "99999"), "leaves the log"),
     (("replay", "{log}", "--range", "1-"), "exists"),
     (("replay", "{log}", "--step", "3", "--out", "a.mp4"), "--step"),
+    (("replay", "{log}", "--out", "x.gif"), "--out x.gif: a .mp4, a .png of a --step, or a folder is written, and no .gif"),
+    (("replay", "{log}", "--out", "x.MP4"), "and no .MP4"),
+    (("replay", "{log}", "--size", "33x17", "--out", "y.mp4"), "34x18 (or a folder of pictures: --out FOLDER)"),
     (("replay", "{log}", "--speed", "0"), "--speed"),
     (("replay", "{log}", "--camera", "1,2"), "X,Y,Z"),
     (("replay", "{log}", "--set", "widht=2", "--out", "a.mp4"), "did you mean 'width'"),
@@ -203,8 +212,12 @@ BAD = (
     (("plot", "{log}", "--ids", "x", "--out", "a.png"), "ids 'x'"),
     (("plot", "{log}", "--group", "bax", "--out", "a.png"), "did you mean 'box'"),
     (("plot", "{log}", "--out", "a.jpg"), ".svg"),
+    (("plot", "{log}", "--range", "5-5", "--out", "a.png"), "one step of 'box' makes no graph over time: two are needed"),
     (("export", "{log}", "--to", "uds"), "did you mean 'usd'"),
     (("export", "{log}", "--to", "usd", "--out", "a.obj"), ".usda"),
+    (("export", "{log}", "--to", "npz", "--out", "a.csv"), "--out a.csv: npz is written, a file, and no .csv"),
+    (("export", "{log}", "--to", "csv", "--out", "a.npz"), "csv is written"),
+    (("export", "{log}", "--to", "vtu", "--out", "a.vtu"), "--out a.vtu: vtu is written, into a folder, and no .vtu"),
     (("export", "{log}", "--to", "csv", "--out", "no/where.csv"), "no folder"),
     (("render", "{script}", "--log-every", "2"), "without --log"),
     (("render", "{script}", "--log", "--log-group", "bux", "--out", "o"), "did you mean 'box'"),
@@ -226,6 +239,7 @@ def test_bad_input_is_one_line(run, logged: Film, tmp_path: Path, monkeypatch, a
     places = {"log": logged.log, "folder": logged.folder, "script": logged.script}
     code, out, error = run(*(argument.format(**places) for argument in arguments))
     assert (code, out) == (2, "")
+    assert not list(tmp_path.iterdir())
     (line,) = error.splitlines()
     assert line.startswith("error: ") and part in line
 

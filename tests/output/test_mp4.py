@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tparticles.errors import InputError
-from tparticles.output import Mp4, OutputFrame
+from tparticles.output import Mp4, OutputFrame, check_film
 
 FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()
 SIZE = (64, 48)
@@ -141,6 +141,12 @@ def test_odd_names_are_only_names(tmp_path: Path, make_frame, monkeypatch, name:
         ((1, 1), "even sizes, 2x2 "),
         ((0, 48), "0x48: must be at least 2x2"),
         ((64, -2), "64x-2: must be at least 2x2"),
+        ((16384, 16384), "16384x16384: too large for an MP4, take 16384x16128 or less"),
+        ((16384, 16130), "take 16384x16128 or less"),
+        ((16130, 16384), "take 16130x16382 or less"),
+        ((16256, 16256), "take 16256x16254 or less"),
+        ((20000, 16), "take 16384x16128 or less"),
+        ((16, 16386), "take 16x16384 or less"),
     ],
 )
 def test_sizes_that_cannot_be_name_the_nearest_that_can(
@@ -149,6 +155,12 @@ def test_sizes_that_cannot_be_name_the_nearest_that_can(
     with pytest.raises(InputError, match=named):
         film_at(tmp_path / "film.mp4", size=size)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("size", [(16384, 16128), (16128, 16384), (16254, 16254), (16384, 2)])
+def test_the_largest_sizes_are_let_through(size: tuple[int, int]) -> None:
+    # as ffmpeg 9.0 and x264 took them, a frame each: 800 MB of it are too much for a test
+    check_film(fps=Fraction(24), size=size)
 
 
 @pytest.mark.parametrize(

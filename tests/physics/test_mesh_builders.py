@@ -110,6 +110,10 @@ def test_what_all_builders_share(build):
         (lambda: tp.rope(end=(0, 0, 0)), r"rope\.start and rope\.end are both"),
         (lambda: tp.rope(length=0), r"rope\.length = 0: must be above 0"),
         (lambda: tp.cloth(counts=(1, 5)), r"cloth\.counts = \(1, 5\): at least 2"),
+        (
+            lambda: tp.cloth(counts=2_000_000),
+            r"cloth\.counts = 2000000: 4000000000000 vertices take at least 1490116 GiB, this machine has \d+ GiB",
+        ),
         (lambda: tp.cloth(counts=(5,)), r"cloth\.counts: should have shape \(2\)"),
         (lambda: tp.cloth(counts=(4.5, 4)), r"cloth\.counts: should be whole numbers"),
         (lambda: tp.cloth(size=(1, -1)), r"cloth\.size = -1\.0: must be above 0"),

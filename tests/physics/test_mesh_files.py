@@ -79,7 +79,7 @@ def test_quadrangles_are_cut_in_two(tmp_path):
         ("mesh.ply", "rubbish", "cannot be read"),
         ("mesh.glb", "rubbish", "cannot be read"),
         ("mesh.vtk", "rubbish", "cannot be read"),
-        ("mesh.vtu", "rubbish", "cannot be read"),
+        ("mesh.vtu", "rubbish", r"cannot be read: it is no \.vtu file, or a damaged one"),
         ("mesh.off", "OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "cannot be read|neither triangles nor tetrahedra"),
         ("mesh.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "a vertex that is not finite"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import click
 from ..command_options import SET, size_option, stdout_kept
 from ..errors import InputError, unknown
 
+# What an export's file may end with; usd looks for itself. Where it is nothing, a folder is made.
+_SUFFIXES: dict[str, tuple[str, ...]] = {"csv": (".csv", ".txt"), "npz": (".npz",), "ply": (), "vtu": ()}
 _EXISTING = click.option(
     "--existing", metavar="error|overwrite", default="error", show_default=True, help="Where FILE exists."
 )
@@ -39,6 +42,12 @@ def _free(path: Path, existing: str) -> Path:
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}")
     return path
+
+
+def _check_suffix(path: Path, own: tuple[str, ...], wanted: str) -> None:
+    """Refuse a name that promises another kind of file. Folders may be called `run.2`, and one that is there as it likes."""
+    if re.fullmatch(r"\.[A-Za-z][A-Za-z0-9]{1,4}", path.suffix) and path.suffix not in own and not path.is_dir():
+        raise InputError(f"--out {path}: {wanted}, and no {path.suffix}")
 
 
 @click.command()
@@ -91,6 +100,7 @@ def replay(
     )
     if (path.suffix == ".png") != (step is not None):
         raise InputError(f"--out {path}: a .png is one picture, of a --step")
+    _check_suffix(path, (".mp4", ".png"), "a .mp4, a .png of a --step, or a folder is written")
     with stdout_kept():
         from ..output import check_film
         from .read import Log
@@ -101,7 +111,7 @@ def replay(
             found = Replay(opened, View(position=camera, **view))
             times = found.times(counted, str(step) if step is not None else steps, speed)
             if path.suffix == ".mp4":
-                check_film(fps=found.scene.fps, size=found.job.size)
+                check_film(fps=found.scene.fps, size=found.job.size, otherwise="a folder of pictures: --out FOLDER")
 
             def progress(done: int) -> None:
                 if signals:
@@ -145,6 +155,8 @@ def plot(
     with Log(Path(log)) as opened:
         chosen = opened.group(group)
         found = series(chosen, wanted, row_range(steps, chosen), numbers(ids))
+        if len(found[0].time) < 2:
+            raise InputError(f"one {chosen.unit} of '{chosen.name}' makes no graph over time: two are needed")
         draw(found, f"{opened.header['scene']}: {chosen.name}, {chosen.scheme}", path)
     if not quiet:
         click.echo(f"{len(found[0].time)} {chosen.unit}s of '{chosen.name}': {path}")
@@ -190,6 +202,10 @@ def export(
         chosen = opened.group(group)
         rows = row_range(steps, chosen)
         path = _free(Path(out) if out else Path(log).parent / default_name(kind, chosen.name), existing)
+        if kind in _SUFFIXES:
+            _check_suffix(
+                path, _SUFFIXES[kind], f"{kind} is written, {'a file' if _SUFFIXES[kind] else 'into a folder'}"
+            )
         if kind == "usd":
             from .export_usd import export_usd
             from .replay import scene_of

@@ -16,6 +16,10 @@ from .ffmpeg import Encoder, count_frames, encode_command, find_ffmpeg
 from .files import open_folder, publish, reason, temporary_path
 
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
+_LONGEST_SIDE = 16384  # [pixels] that x264 takes
+# ffmpeg counts 8 bytes for each pixel of a picture with a margin of 128, whatever the format, and that must fit 31 bits.
+_MARGIN, _LARGEST = 128, 2**28
+_OTHERWISE = "--no-mp4"
 _PATIENCE = 30.0  # [s] that an aborted ffmpeg gets to finish what it has
 _STUCK = 10.0  # [s] after which an aborted write is taken to wait for ever
 
@@ -27,7 +31,7 @@ class Mp4:
 
     path: of the film; its folder is created if need be, leftovers of a killed run are removed.
     fps: frames per second, exact: Fraction(24), Fraction(30000, 1001).
-    size: (width, height) [pixels], both even: yuv420p stores colour for blocks of 2x2.
+    size: (width, height) [pixels], both even: yuv420p stores colour for blocks of 2x2. What is too large for ffmpeg is refused.
     crf: quality of x264, 0 (lossless luma) to 51; preset: its speed; threads: as many as the machine has if None.
     Raises InputError for a bad option, BackendError if ffmpeg cannot be started, RunError if the folder cannot be used.
     """
@@ -146,24 +150,38 @@ class Mp4:
             self._temporary.unlink(missing_ok=True)
 
 
-def check_film(*, fps: Fraction, size: tuple[int, int]) -> None:
-    """Raise InputError where `Mp4` would, before a film is begun."""
-    _check(fps, size, 18, "medium", None)
+def check_film(*, fps: Fraction, size: tuple[int, int], otherwise: str = _OTHERWISE) -> None:
+    """Raise InputError where `Mp4` would, before a film is begun; `otherwise` is what it says can be done without one."""
+    _check(fps, size, 18, "medium", None, otherwise)
 
 
-def _check(fps: Fraction, size: tuple[int, int], crf: int, preset: str, threads: int | None) -> None:
+def _check(
+    fps: Fraction, size: tuple[int, int], crf: int, preset: str, threads: int | None, otherwise: str = _OTHERWISE
+) -> None:
     if fps <= 0:
         raise InputError(f"fps is {fps}: must be above 0")
     if min(size) < 1:
         raise InputError(f"size is {size[0]}x{size[1]}: must be at least 2x2")
     if size[0] % 2 or size[1] % 2:
-        raise InputError(f"size is {size[0]}x{size[1]}: an MP4 needs even sizes, {_even_sizes(size)} (or --no-mp4)")
+        raise InputError(f"size is {size[0]}x{size[1]}: an MP4 needs even sizes, {_even_sizes(size)} (or {otherwise})")
+    if max(size) > _LONGEST_SIDE or (size[0] + _MARGIN) * (size[1] + _MARGIN) >= _LARGEST:
+        width, height = _largest(size)
+        raise InputError(
+            f"size is {size[0]}x{size[1]}: too large for an MP4, take {width}x{height} or less (or {otherwise})"
+        )
     if not 0 <= crf <= 51:
         raise InputError(f"crf is {crf}: must be 0 to 51")
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: must be at least 1")
+
+
+def _largest(size: tuple[int, int]) -> tuple[int, int]:
+    """Return the largest size for an MP4 that is as wide, or as wide as can be."""
+    width = min(size[0], _LONGEST_SIDE)
+    height = (_LARGEST - 1) // (width + _MARGIN) - _MARGIN
+    return width, min(height - height % 2, _LONGEST_SIDE)
 
 
 def _even_sizes(size: tuple[int, int]) -> str:

@@ -29,8 +29,15 @@ _AROUND = 16  # births looked at before and after a time
 
 
 def _to_keys(value: Any) -> Any:
+    """Read a plain number as one pair; what is wrong with it is told of the number, not of the pair."""
     if isinstance(value, int | float) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise ValueError("should be a finite number")
+        if value < 0:
+            raise ValueError("should be greater than or equal to 0")
         return ((0.0, value),)
+    if isinstance(value, str | bool) or not isinstance(value, Sequence):
+        raise ValueError("should be a number, or a list of (time, value) pairs")
     return value
 
 

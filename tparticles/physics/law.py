@@ -5,6 +5,7 @@ run-time parameters of the kernels (see `tparticles.binding`).
 """
 
 import dataclasses
+import inspect
 from collections.abc import Iterable
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -66,11 +67,39 @@ def check_flow(where: str, flow: Any) -> None:
     """Refuse what is no flow.
 
     Raises:
-        InputError: it has neither `velocity(self, t, x)` nor `velocity_pass(self, p, t, x)`; `where` names the place.
+        InputError: it has neither `velocity(self, t, x)` nor `velocity_pass(self, p, t, x)` for kernels; `where` names the place.
     """
     for term in flow_terms(flow):
-        if not hasattr(term, "velocity") and not hasattr(term, "velocity_pass"):
+        if hasattr(term, "velocity_pass"):
+            _check_function(where, term, "velocity_pass", "p, t, x")
+        elif hasattr(term, "velocity"):
+            _check_function(where, term, "velocity", "t, x")
+        else:
             raise InputError(f"{where}: {term!r} is no flow, it has no velocity(self, t, x)")
+
+
+def check_force(where: str, force: Any) -> None:
+    """Refuse what is no force.
+
+    Raises:
+        InputError: it has no `acceleration(self, t, x, v)` for kernels, with `u` too where it has a flow; `where` names the place.
+    """
+    if not isinstance(force, ForceLike):
+        raise InputError(f"{where}: {force!r} is no force: it has no acceleration(self, t, x, v)")
+    _check_function(where, force, "acceleration", "t, x, v" if getattr(force, "flow", None) is None else "t, x, v, u")
+
+
+def _check_function(where: str, law: Any, name: str, arguments: str) -> None:
+    """Refuse what a kernel cannot call: Taichi would only warn of a plain function, and trace it wrongly."""
+    function, here = getattr(law, name), f"{where}: {type(law).__name__}.{name}"
+    if not getattr(function, "_is_taichi_function", False):
+        raise InputError(f"{here} is no @ti.func")
+    signature = inspect.signature(function)
+    try:
+        signature.bind(*arguments.split(", "))
+    except TypeError:
+        taken = ", ".join(["self", *signature.parameters])
+        raise InputError(f"{here} must take (self, {arguments}), not ({taken})") from None
 
 
 def flow_terms(flow: Any) -> tuple[Any, ...]:

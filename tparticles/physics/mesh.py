@@ -138,7 +138,7 @@ class Mesh:
 
         Velocities and paths turn with it.
         """
-        n = np.array(unit("turned.axis", tuple(vector("turned.axis", axis))))  # type: ignore[arg-type]
+        n = np.array(unit("turned.axis", tuple(vector("turned.axis", axis).tolist())))  # type: ignore[arg-type]
         angle = np.radians(number("turned.degrees", degrees))
         # Rodrigues: R = cos a I + sin a [n]x + (1 - cos a) n n^T
         turn = (

@@ -11,12 +11,14 @@ import math
 
 import numpy as np
 
+from .. import backend
 from ..errors import InputError
 from ..spec import Vec3
 from .mesh import Mesh, Reals, distances
 from .mesh_checks import number, numbers, positive, vector
 from .mesh_recipe import builder
 
+_BYTES = 200  # that a vertex takes at least for each direction of its grid, while its springs are listed
 Family = tuple[np.ndarray, float]  # pairs of vertices, stiffness [N/m]
 
 
@@ -214,6 +216,13 @@ def _counts(name: str, value: int | tuple[int, ...], width: int, *, least: int =
     array = numbers(name, value, np.int32, (width,))
     if (array < least).any():
         raise InputError(f"{name} = {value}: at least {least} is needed")
+    total = math.prod(array.tolist())
+    needed, available = total * width * _BYTES, backend.memory()
+    if needed > available:
+        raise InputError(
+            f"{name} = {value}: {total} vertices take at least {needed / 2**30:.0f} GiB, "
+            f"this machine has {available / 2**30:.0f} GiB"
+        )
     return tuple(array.tolist())
 
 

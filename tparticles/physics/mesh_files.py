@@ -78,7 +78,10 @@ def _by_meshio(path: Path) -> tuple[Reals, np.ndarray]:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
             found = meshio.read(path)
     except (Exception, SystemExit) as error:
-        raise _unreadable(path, said.getvalue() or error) from None
+        damaged = f"it is no {path.suffix} file, or a damaged one"
+        raise _unreadable(
+            path, said.getvalue().strip() or (damaged if isinstance(error, SystemExit) else error)
+        ) from None
     x = np.zeros((len(found.points), 3))
     x[:, : found.points.shape[1]] = found.points  # a plane mesh has no z
     triangles = [np.empty((0, 3), np.int64)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import library
+from .. import scene_files
 from ..errors import InputError, TparticlesError
 from . import reference
 from .plan import NAME as PLANS_NAME
@@ -86,12 +86,12 @@ def select(scenes: Sequence[str], folder: Path) -> Selection:
     """
     plans = read_plans(folder)
     paths: dict[str, Path] = {}
-    for scene in scenes or library.names():
-        path = library.find(scene)
+    for scene in scenes or scene_files.names():
+        path = scene_files.find(scene)
         if paths.setdefault(path.stem, path) != path:
             raise InputError(f"two scenes are named '{path.stem}': {paths[path.stem]} and {path}; check one at a time")
     if not paths:
-        raise InputError(f"no scenes in {library.SCENES.resolve()}")
+        raise InputError(f"no scenes in {scene_files.SCENES.resolve()}")
     # a scene that was named may live elsewhere: only a look at all of them tells what nobody needs
     unused = [] if scenes else _unused(folder, paths, plans)
     return Selection(folder, paths, {name: plans.get(name, Plan()) for name in paths}, unused)

@@ -77,7 +77,7 @@ def _study(
     subject: str, chosen: Sequence[Any], precisions: Sequence[str], count: int | None, frame: int | None
 ) -> tuple[str, Callable[[Callable[[str], None]], Any]]:
     """Return the name of the files and what runs the study, with all that was asked for checked."""
-    from .. import library, schemes
+    from .. import library, scene_files, schemes
     from . import pixels, precision
     from .work_problems import WORKS
 
@@ -91,8 +91,8 @@ def _study(
         return f"precision-{subject}", lambda tell: precision.study(
             subject, WORKS[subject], wanted, precisions=precisions, count=amount, tell=tell
         )
-    if Path(subject).suffix not in (".py", ".toml", ".json") and subject not in library.names():
-        raise unknown("problem or scene", subject, [*WORKS, *library.names()])
+    if Path(subject).suffix not in (".py", ".toml", ".json") and subject not in scene_files.names():
+        raise unknown("problem or scene", subject, [*WORKS, *scene_files.names()])
     if count is not None:
         raise InputError(f"--count belongs to problems, and '{subject}' is a scene; leave it out")
     script = library.load(subject)

@@ -9,9 +9,8 @@ from typing import Any
 
 from pydantic import SkipValidation
 
-from ..errors import InputError
 from ..physics.flows import Uniform
-from ..physics.law import Bound, ForceLike, check_flow, flow_terms, jacobian_bound
+from ..physics.law import Bound, check_flow, check_force, flow_terms, jacobian_bound
 from ..spec import spec
 from . import terms
 
@@ -52,8 +51,7 @@ class Newtonian:
 
     def __post_init__(self) -> None:
         for force in self.forces if isinstance(self.forces, tuple | list) else (self.forces,):
-            if not isinstance(force, ForceLike):
-                raise InputError(f"Newtonian.forces: {force!r} is no force: it has no acceleration(self, t, x, v)")
+            check_force("Newtonian.forces", force)
         object.__setattr__(
             self, "forces", tuple(self.forces) if isinstance(self.forces, tuple | list) else (self.forces,)
         )

@@ -5,7 +5,7 @@ Slots never depend on thread order: newborns are appended in the order of their 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +61,7 @@ class Population:
         columns: the attributes, allocated.
         schedules: their births, one each (see `schedules`).
         share: which of them are simulated here.
+        enough: returns a capacity that will do, asked where the one there is does not.
     """
 
     def __init__(
@@ -71,8 +72,9 @@ class Population:
         columns: Columns,
         schedules: Sequence[Schedule],
         share: Share = WHOLE,
+        enough: Callable[[], int] | None = None,
     ):
-        self.name, self.columns, self.share = name, columns, share
+        self.name, self.columns, self.share, self._enough = name, columns, share, enough
         self.born = self.died = self.alive = 0
         self._sources = [
             _Source(e, schedule, EmitKernel(e, columns, key=schedule.key, index=i, of=len(emitters)))
@@ -84,16 +86,17 @@ class Population:
         """Append everybody born in [t0, t1) [s]; return how many.
 
         Raises:
-            RunError: more than the capacity; the message names the emitter and the capacity needed.
+            RunError: more than the capacity; the message names the emitter and a capacity that will do.
         """
         before = self.alive
         for i, source in enumerate(self._sources):
             births = source.schedule.births(t0, t1)
             first, count = self.share.of(births, i)
             if self.alive + count > self.columns.capacity:
+                raised = f" to {self._enough()}" if self._enough else ""
                 raise RunError(
                     f"group '{self.name}', emitter '{source.emitter.name}': {count} births at t = {t0:.4g} s need room for "
-                    f"{self.alive + count} particles, the capacity is {self.columns.capacity}; raise Group.capacity or "
+                    f"{self.alive + count} particles, the capacity is {self.columns.capacity}; raise Group.capacity{raised} or "
                     "leave it out to have it derived from the emitters"
                 )
             if count:

@@ -7,16 +7,27 @@ says how often: that loop stays outside the lane loop, where it costs neither ve
 
 # pyright: reportInvalidTypeForm=false
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import taichi as ti
+from taichi.lang.expr import Expr
 
 from ..binding import Parameters
 from ..physics.law import flow_terms
 
 FLOW_REGISTER = -1
+
+
+class LawError(ti.TaichiCompilationError):
+    """A law returned something else than a vector of 3. Taichi keeps the kind of its own errors, and writes where before them."""
+
+    @property
+    def reason(self) -> str:
+        """What is wrong, without the frames of kernels."""
+        return str(self).rstrip().rpartition("\n")[2]
 
 
 @dataclass(frozen=True)
@@ -68,7 +79,7 @@ def flow(law: Any, parameters: Any, first: int) -> list[Term]:
     """Return the terms of a flow or a sum of flows, added from component `first` on."""
     return [
         Term(
-            law=parameters.bind(term),
+            law=_checked(parameters.bind(term), "velocity_pass" if hasattr(term, "velocity_pass") else "velocity"),
             evaluate=_flow_pass if hasattr(term, "velocity_pass") else _flow,
             first=first,
             width=3,
@@ -77,6 +88,32 @@ def flow(law: Any, parameters: Any, first: int) -> list[Term]:
         )
         for k, term in enumerate(_joined(flow_terms(law)))
     ]
+
+
+def _checked(law: Any, name: str) -> Any:
+    """Let a bound law say, while a kernel is traced, that its function `name` returns no vector of 3."""
+    function = getattr(law, name)
+
+    @functools.wraps(function)  # which Taichi knows by its attributes
+    def checked(*arguments: Any) -> Any:
+        value = function(*arguments)
+        if (shape := _shape(value)) != (3,):
+            found = {None: "nothing", (): "a number"}.get(shape, f"one of shape {shape}")
+            raise LawError(f"{type(law).__name__}.{name} must return a vector of 3, not {found}")
+        return value
+
+    law.__dict__[name] = checked
+    return law
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    """Return the shape of what a function returned while it was traced; None for nothing."""
+    if value is None:
+        return None
+    if isinstance(value, tuple | list):
+        return (len(value),)
+    tensor = isinstance(value, ti.Matrix) or (isinstance(value, Expr) and value.is_tensor())
+    return tuple(cast(Any, value).get_shape()) if tensor else ()
 
 
 def _joined(laws: Sequence[Any]) -> list[Any]:
@@ -104,7 +141,8 @@ def force(law: Any, parameters: Any) -> list[Term]:
     inside = getattr(law, "flow", None)
     before = [] if inside is None else flow(inside, parameters, FLOW_REGISTER)
     evaluate = _force if inside is None else _force_in_flow
-    return [*before, Term(law=parameters.bind(law, skip=("flow",)), evaluate=evaluate, first=3, width=3)]
+    bound = _checked(parameters.bind(law, skip=("flow",)), "acceleration")
+    return [*before, Term(law=bound, evaluate=evaluate, first=3, width=3)]
 
 
 def heat(law: Any, parameters: Any, first: int) -> Term:
