@@ -13,7 +13,10 @@ from .stepping.report import StepReport
 
 @dataclass
 class FrameReport:
-    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds; `starting`: see `StepReport`."""
+    """What one frame took. `ms`: milliseconds in births, step, draw; dt in seconds; `starting`: see `StepReport`.
+
+    `solves`: by group, what the implicit stages of meshes took in the last frame that was simulated for this one.
+    """
 
     frame: int
     time: float
@@ -25,14 +28,18 @@ class FrameReport:
     starting: int = 0
     dt_min: float = 0.0
     dt_max: float = 0.0
+    solves: dict[str, dict[str, Any]] = field(default_factory=dict)
     ms: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("births", "step", "draw"), 0.0))
 
     def row(self) -> dict[str, Any]:
         """Return the report as a row of run.json."""
-        return dataclasses.asdict(self)
+        row = dataclasses.asdict(self)
+        return row if row["solves"] else {name: value for name, value in row.items() if name != "solves"}
 
-    def add_steps(self, report: StepReport) -> None:
-        """Count in what a stepper did."""
+    def add_steps(self, group: str, report: StepReport) -> None:
+        """Count in what the stepper of a group did."""
+        if report.solves:
+            self.solves[group] = dataclasses.asdict(report.solves)
         self.rejected += report.rejected
         if report.steps:
             self.dt_min = min(self.dt_min, report.dt_min) if self.steps else report.dt_min

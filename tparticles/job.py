@@ -135,6 +135,11 @@ class Job:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=description).encode()).hexdigest()[:16]
 
     @property
+    def _own_schemes(self) -> dict[str, str]:
+        """The schemes of the meshes that have one of their own, by name."""
+        return {mesh.name: mesh.scheme.name for mesh in self.scene.meshes if mesh.scheme is not None}
+
+    @property
     def film_path(self) -> Path:
         """Where the MP4 goes; a part of the film never takes the name of the whole."""
         whole = len(self.frames) == self.scene.frame_count
@@ -155,6 +160,13 @@ class Job:
             "scheme": schemes.describe(self.scene.scheme),
             "steps": repr(self.scene.steps),
             "clamp": self.scene.clamp,
+            "meshes": {
+                mesh.name: {
+                    "scheme": (mesh.scheme or self.scene.scheme).name,
+                    "steps": repr(mesh.steps or self.scene.steps),
+                }
+                for mesh in self.scene.meshes
+            },
             "precision": self.options.precision,
             "versions": {
                 "tparticles": __version__,
@@ -183,6 +195,9 @@ class Job:
             RunError: something failed on the way; finished frames stay, run.json says "failed".
             KeyboardInterrupt: passed on after what is finished has been kept and run.json says "interrupted".
         """
+        others = {m: own for m, own in self._own_schemes.items() if self.options.scheme not in (None, own)}
+        for mesh, own in others.items():
+            tell(f"--scheme {self.options.scheme} is not for group '{mesh}', which has a scheme of its own: {own}")
         frames = self._prepare(source or self.simulation)
         arch = frames.backend.arch
         owner = self.owner(arch)
@@ -278,7 +293,9 @@ class Job:
             "Scene": f"{self.script.name} {self.identity}",
             "Frame": str(frame.number),
             "Seed": str(self.scene.seed),
-            "Scheme": self.scene.scheme.name,
+            "Scheme": ", ".join(
+                [self.scene.scheme.name, *(f"{mesh}: {own}" for mesh, own in self._own_schemes.items())]
+            ),
         }
 
 

@@ -161,6 +161,7 @@ def _start(
 def _write(folder: Path, sums: np.ndarray, report: FrameReport, identity: str, states: Mapping[str, State]) -> None:
     row = report.row()
     row |= {f"ms {part}": ms for part, ms in row.pop("ms").items()}
+    row.pop("solves", None)  # the shard's own run.json holds them
     try:
         write_piece(folder, sums, row, version=__version__, identity=identity, more=sections(states))
     except OSError as error:

@@ -161,6 +161,7 @@ class Simulation:
         """Return all that the frames to come depend on: counters of the frame on the way, and what each group says of itself."""
         counts = dataclasses.asdict(self._report or FrameReport(self._frame, 0.0))
         counts |= {f"ms {part}": ms for part, ms in counts.pop("ms").items()}
+        del counts["solves"]  # of the last frame alone
         return {"film": counts | {"frame": self._frame}} | {f"group {g.spec.name}": g.snapshot() for g in self.groups}
 
     def restore(self, state: Mapping[str, Mapping[str, np.ndarray | int | float]]) -> None:
@@ -195,7 +196,7 @@ class Simulation:
                 f"frame {self._frame + 1}, group '{group.spec.name}': {error} "
                 f"(t = {t1:.6g} s, scheme {group.scheme.name}, dt <= {group.dt:.3g} s)"
             ) from None
-        report.add_steps(steps)
+        report.add_steps(group.spec.name, steps)
         report.died += died
         report.ms["births"] += (middle - start) * 1e3
         report.ms["step"] += (time.perf_counter() - middle) * 1e3

@@ -208,3 +208,38 @@ def test_an_outline_needs_no_run(tmp_path: Path) -> None:
     assert library.outline(tmp_path / "t.py").error == ""
     (tmp_path / "t.py").write_text("(" * 2000)
     assert "t.py" in library.outline(tmp_path / "t.py").error
+
+
+MESHES = '''"""Two boxes."""
+import tparticles as tp
+
+
+def scene(quality):
+    def box(name, **options):
+        mesh = tp.spring_box(stiffness=1e4).moved((0, 0, 2))
+        return tp.MeshGroup(name=name, mesh=mesh, steps=tp.Fixed(dt=1 / 240), **options)
+
+    return tp.Scene(
+        groups=(box("stiff", scheme="sdirk2"), box("plain")), scheme="midpoint", duration=0.5, size=(64, 36),
+        camera=tp.Camera(position=(0, -6, 1), target=(0, 0, 1)),
+    )
+'''
+
+
+def test_run_json_tells_each_mesh_s_scheme_and_what_its_solver_did(tmp_path: Path) -> None:
+    path, told = tmp_path / "boxes.py", []
+    path.write_text(MESHES)
+    job = Job(str(path), Options(out=tmp_path / "out", frames="1-2", scheme="rk4", arch="cpu", **PNG))  # type: ignore[arg-type]
+    run = job.run(tell=told.append)
+    assert {name: mesh["scheme"] for name, mesh in run["meshes"].items()} == {"stiff": "sdirk2", "plain": "rk4"}
+    assert all("Fixed" in mesh["steps"] for mesh in run["meshes"].values())
+    for row in run["frames"]:
+        ((name, solves),) = row["solves"].items()
+        assert name == "stiff" and solves["method"] in ("direct", "cg") and "CG iterations" in solves["why"]
+        # two stages a step, ten steps
+        assert solves["newton"] >= 20 and 0 <= solves["residual"] <= 0.1
+    own, how = told
+    assert own == "--scheme rk4 is not for group 'stiff', which has a scheme of its own: sdirk2"
+    assert how.startswith("group 'stiff': implicit stages by the ")
+    with Image.open(tmp_path / "out/frames/000001.png") as picture:
+        assert picture.text["Scheme"] == "rk4, stiff: sdirk2"  # type: ignore[attr-defined]

@@ -10,10 +10,23 @@ from ..schemes import Scheme
 
 
 @dataclass(frozen=True)
+class Solves:
+    """What the implicit stages of a mesh took: the solver of the last one and why it was taken, iterations of Newton's method and
+    of conjugate gradients, and the largest misfit left, as a part of the mean rest length."""
+
+    method: str
+    why: str
+    newton: int
+    linear: int
+    residual: float
+
+
+@dataclass(frozen=True)
 class StepReport:
     """What one advance took: sub-steps over all particles, tries that were rejected, smallest and largest dt [s] (0: no step).
 
-    `starting`: how many of the steps of particles were made by the starter of a multistep scheme.
+    `starting`: how many of the steps of particles were made by the starter of a multistep scheme. `solves`: of a mesh with implicit
+    stages.
     """
 
     steps: int = 0
@@ -21,6 +34,7 @@ class StepReport:
     dt_min: float = 0.0
     dt_max: float = 0.0
     starting: int = 0
+    solves: Solves | None = None
 
     @classmethod
     def of_bits(cls, steps: int, starting: int, rejected: int, low: int, high: int) -> StepReport:

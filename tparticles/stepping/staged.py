@@ -26,7 +26,7 @@ from .control import CLAMPS
 from .mesh_solver import MeshSolver, SolveResult
 from .passes import Passes
 from .recorder import UNRECORDED, Recorder
-from .report import StepReport
+from .report import Solves, StepReport
 from .stages import SOLVE, Stages
 from .table import Table
 from .walls import ROUNDS, Walls
@@ -91,6 +91,7 @@ class StagedStepper:
         self.held, self.fresh, self.last_h, self.began = 0, 0, 0.0, 0.0
         self.contacts, self.rejected = 0, 0  # bounces and halved steps so far
         self.iterations = np.zeros(2, np.int64)  # of Newton's method and of its linear systems, so far
+        self.residual, self.method = 0.0, ""  # largest misfit in this advance, what the last stage was solved by
         self.solver = self._make_solver() if self.table.implicit else None
 
     def _make_solver(self) -> MeshSolver:
@@ -131,7 +132,8 @@ class StagedStepper:
         Raises:
             RunError: an implicit stage has no solution, not even with the smallest step.
         """
-        report, rejected = StepReport(), self.rejected
+        report, rejected, before = StepReport(), self.rejected, self.iterations
+        self.residual = 0.0
         t = t0
         for h, count in self._runs(t1 - t0, dt):
             if abs(h - self.last_h) > 1e-4 * h:
@@ -146,7 +148,13 @@ class StagedStepper:
             t += h * count
             low = min(report.dt_min, h) if report.steps else h
             report = StepReport(report.steps + count, 0, low, max(report.dt_max, h))
-        return dataclasses.replace(report, rejected=self.rejected - rejected)
+        return dataclasses.replace(report, rejected=self.rejected - rejected, solves=self._solves(before))
+
+    def _solves(self, before: np.ndarray) -> Solves | None:
+        if not self.solver:
+            return None
+        newton, linear = (int(n) for n in self.iterations - before)
+        return Solves(self.method, self.solver.reason, newton, linear, self.residual)
 
     def _runs(self, span: float, dt: float) -> Iterator[tuple[float, int]]:
         """Yield (step, how many of it) until the span is over."""
@@ -366,7 +374,8 @@ class StagedStepper:
         found = self.solver.solve(
             x, v, w, extra_acceleration=lambda x, v: self.stages.outside(x, v, t), linear=linear, **walls
         )
-        self.iterations += np.array([found.iterations, found.linear_iterations])
+        self.iterations = self.iterations + np.array([found.iterations, found.linear_iterations])
+        self.residual, self.method = max(self.residual, found.residual), found.method
         if not found.converged:
             raise _NoSolutionError
         return found
