@@ -133,6 +133,19 @@ def test_steps_at_the_limit_bear_contacts(name, restitution):
     assert max(energies) < energies[0] * 1.1 and energies[-1] < energies[0]
 
 
+@pytest.mark.parametrize("scheme", [s.name for s in schemes.CATALOGUE.values() if s.implicit])
+def test_stiff_cloth_meets_a_ball_at_the_frame_s_own_step(scheme):
+    """Schemes that begin with a slope looked at one that the stop had left swinging, and halved their steps without end."""
+    sheet = tp.cloth(counts=(14, 14), size=(1.0, 1.0), mass=0.2, stiffness=1e6, damping=0.01).moved((0.03, 0.02, 1.1))
+    stiff = mesh(mesh=sheet, colliders=BALL, scheme=scheme, steps=tp.Fixed(dt=1 / 24))
+    simulation = simulate(film(stiff, duration=0.75))
+    reports = [frame.report for frame in simulation.frames()]
+    assert simulation.groups[0].stepper.contacts > 0
+    assert sum(report.rejected for report in reports) <= 12
+    assert sum(report.solves["cloth"]["newton"] for report in reports) < 1500
+    assert reports[-1].solves["cloth"]["residual"] < 0.1
+
+
 def test_what_begins_inside_a_collider_is_refused():
     sunk = mesh(mesh=UNDAMPED["rope"].moved((0, 0, -0.1)), colliders=BALL)
     with pytest.raises(InputError, match=r"group 'cloth': vertex 1[56] begins 0\.0887 m inside a collider; move"):

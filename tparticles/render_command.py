@@ -133,11 +133,16 @@ def render(
         if shards is not None and index is None:  # nothing is simulated here
             options["checkpoint_every"] = "off"
         job = Job(scene, Options(out=None if out is None else Path(out), **options))
+        solved: set[str] = set()  # the meshes of which it was told by what
         with Progress(job.script.name, len(job.frames), quiet=quiet) as progress:
 
             def step(frame: Any, done: int) -> None:
                 if signals:  # an import or a destructor may swallow the exception
                     raise KeyboardInterrupt
+                for name, solves in () if quiet else frame.report.solves.items():
+                    if name not in solved:
+                        solved.add(name)
+                        tell(f"group '{name}': implicit stages by the {solves['method']} solver ({solves['why']})")
                 progress.step(frame, done)
 
             def tell(text: str) -> None:

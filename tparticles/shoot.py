@@ -95,8 +95,6 @@ def shoot(
                     checkpoints.begun(frame.number)
                     pipeline.submit(output.OutputFrame(frame.number, frame.image, job.provenance(frame), states))
                     if done == 1:
-                        for name, solves in frame.report.solves.items():
-                            tell(f"group '{name}': implicit stages by the {solves['method']} solver ({solves['why']})")
                         pipeline.drain()  # somebody waits for it: let it not share the machine with the second
                     progress(frame, len(start.kept) + done)
             except Exception:

@@ -47,6 +47,10 @@ class Contact:
         self.halvings = 50 if f64 else 24
         self.slack = 1e-9 if f64 else 1e-5  # [m]; nearer than this is on the surface
 
+    def touches(self) -> bool:
+        """Return whether a vertex rests on a collider."""
+        return self.touching is not None and bool(self.touching.to_numpy().any())
+
     @ti.func
     def _state(self, fields: ti.template(), i):
         x = ti.Vector([fields[d][i] for d in ti.static(range(3))])

@@ -93,6 +93,9 @@ class StagedStepper:
         self.iterations = np.zeros(2, np.int64)  # of Newton's method and of its linear systems, so far
         self.residual, self.method = 0.0, ""  # largest misfit in this advance, what the last stage was solved by
         self.solver = self._make_solver() if self.table.implicit else None
+        # A stop leaves stiff springs swinging, and a slope that is looked at then kicks them: it is Euler's that a scheme goes on
+        # from which begins with a slope.
+        self.wary = bool(contact.any and self.table.implicit and self.reuses)
 
     def _make_solver(self) -> MeshSolver:
         mesh, whole = self.system.mesh, self.system.whole()
@@ -290,11 +293,18 @@ class StagedStepper:
         if self.drives:
             self.stages.aim(h, self.driven, paths)
         passes = self.passes.step(starting, self.fresh, ends=False)
-        met, smooth = 0, True
+        met, page, smooth = 0, 0, True
         try:
-            page = self._solved(passes, t, h) if self.table.implicit else self._pass_over(passes, 0, t, h)
+            if self.wary and not self.fresh:
+                self._pass_over(passes[:1], 0, t, h)  # which keeps where the step begins
+                self.stages.back()
+                self._euler(t, h)
+            elif self.table.implicit:
+                page = self._solved(passes, t, h)
+            else:
+                page = self._pass_over(passes, 0, t, h)
         except _TouchError:
-            page, smooth = 0, False
+            smooth = False
             self.stages.back()
             self._euler(t, h)
         if self.ends:
@@ -306,7 +316,7 @@ class StagedStepper:
             self.stages.end(starting, h)
         self.held, self.fresh = min(self.held + 1, self.steps_back), self.reuses
         self.contacts += met
-        if met or not smooth:
+        if met or not smooth or (self.wary and self.contact.touches()):
             self.forget()
         if self.solver and self.system.tears and not np.array_equal(self.system.whole(), self._whole):
             self.solver = self._make_solver()
@@ -348,10 +358,14 @@ class StagedStepper:
         return bool(self.table.coefficients[op, 0] < 1.0 and SOLVE not in after)
 
     def _euler(self, t: float, h: float) -> None:
-        """Take a step of backward Euler, which contact cannot make gain energy."""
+        """Take a step of backward Euler, which contact cannot make gain energy.
+
+        Its slope goes into all registers: one of them is k_0 of the next step.
+        """
         x, v = (np.asarray(a, float) for a in self.system.read())
         found = self._stopped(self._solution(x, v, h, t + h, linear=False), x, v, t + h, h)
-        self._put(0, found, (found.v - v) / h)
+        for slot in range(self.table.scheme.registers):
+            self._put(slot, found, (found.v - v) / h)
 
     def _put(self, slot: int, found: SolveResult, a: np.ndarray) -> None:
         self.stages.put(slot, *(np.ascontiguousarray(array, self.stages.kind) for array in (found.x, found.v, a)))
@@ -375,7 +389,7 @@ class StagedStepper:
             x, v, w, extra_acceleration=lambda x, v: self.stages.outside(x, v, t), linear=linear, **walls
         )
         self.iterations = self.iterations + np.array([found.iterations, found.linear_iterations])
-        self.residual, self.method = max(self.residual, found.residual), found.method
         if not found.converged:
             raise _NoSolutionError
+        self.residual, self.method = max(self.residual, found.residual), found.method
         return found
