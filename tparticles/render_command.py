@@ -33,7 +33,11 @@ if TYPE_CHECKING:
 @QUALITY
 @SET
 @click.option("--seed", metavar="N", type=click.IntRange(min=0), help="Another seed for all random numbers.")
-@click.option("--scheme", metavar="NAME", help="Another integration scheme, but for meshes with one of their own; see `tparticles schemes`.")
+@click.option(
+    "--scheme",
+    metavar="NAME",
+    help="Another integration scheme, but for meshes with one of their own; see `tparticles schemes`.",
+)
 @PRECISION
 @click.option(
     "--arch",

@@ -65,8 +65,8 @@ def _doubled_splitting(scheme: Scheme) -> Scheme:
     Each becomes one, its mean slope (z - z0) / dt, in a register of its own behind the scheme's. The step of dt comes first.
     """
     ops = _up_to_result(scheme.ops)
-    begins = [ops[0]] if ops[0] == Op(OpKind.EVALUATE) else []
-    kept = begins and all(op.slope or op.kind in (OpKind.KICK, OpKind.DRIFT) for op in ops[1:])
+    # k_0 serves both sizes of step, unless it is written over.
+    kept = ops[0] == Op(OpKind.EVALUATE) and all(op.slope or op.kind in (OpKind.KICK, OpKind.DRIFT) for op in ops[1:])
     first = _scaled(ops[1:] if kept else ops, begin=0.0)
     one, two = scheme.slopes, scheme.slopes + 1
     draft = Draft(
