@@ -103,8 +103,9 @@ class _Shared:
         spec, scene, columns = plan.spec, self._scene, self.columns[plan.spec.name]
         if not spec.stepped:
             return None
+        own = plan.kind
         for kind, stepper in self._steppers:
-            if kind == plan.kind:
+            if kind == own:
                 return stepper.twin(spec.system, cooling=spec.cooling, columns=columns, size=size)
         stepper = FusedStepper(
             spec.system,
@@ -115,7 +116,7 @@ class _Shared:
             size=size,
             tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
         )
-        self._steppers.append((plan.kind, stepper))
+        self._steppers.append((own, stepper))
         return stepper
 
 
