@@ -104,6 +104,7 @@ PLUGINS += (
     adams([F(1901, 720), F(-2774, 720), F(2616, 720), F(-1274, 720), F(251, 720)], name="ab5", order=5),
     adams([F(3, 2), F(-1, 2)], [F(5, 12), F(8, 12), F(-1, 12)], name="abm23", order=3),
     adams([1], [0.5, 0.5], name="euler-trapezoidal", order=2),
+    adams([F(3, 2), F(-1, 2)], [F(5, 12), F(8, 12), F(-1, 12)], mode="PEC", name="pec3", order=3),
     bdf(1, name="bdf1"),
     splitting([0.5, 0.5], [1], name="classic-verlet", order=2),
     # McLachlan and Atela 1992, second order with the smallest error.

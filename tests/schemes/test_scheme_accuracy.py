@@ -177,7 +177,7 @@ def test_traits_of_the_catalogue(name, order, evaluations, real, imaginary, a_st
 def test_the_catalogue_is_complete_and_cited():
     assert all(scheme.reference for scheme in CATALOGUE.values())
     for need, names in {
-        "equal steps": {"ab3", "ab4", "abm4", "milne", "bdf3", "bdf4", "beeman"},
+        "equal steps": {"ab3", "ab4", "abm4", "abm5-pec", "milne", "bdf3", "bdf4", "beeman"},
         "second-order system": {
             "symplectic-euler",
             "velocity-verlet",

@@ -113,6 +113,10 @@ def _adams(scheme: Scheme) -> Iterator[dict[str, Any]]:
     if len(combines) == 1:
         yield explicit
         return
+    if scheme.ops[0].kind is OpKind.COMBINE:  # k_0 is the slope at the end
+        predictor, corrector = _exact(combines[0].weights[1:]), _exact(combines[1].weights)
+        yield {"explicit": predictor, "implicit": corrector, "mode": "PEC"}
+        return
     *old, new = combines[1].weights
     for end in range(len(old), -1, -1):  # zeros may be the corrector's own, or fill up the registers
         yield explicit | {"implicit": _exact([new, *old[:end]])}

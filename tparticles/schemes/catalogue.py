@@ -14,6 +14,7 @@ F = Fraction
 
 _BASHFORTH = "F. Bashforth, J. C. Adams, An attempt to test the theories of capillary action (1883)"
 _MOULTON = f"{_BASHFORTH}; F. R. Moulton, New Methods in Exterior Ballistics (1926)"
+_SHAMPINE = f"{_MOULTON}; L. F. Shampine, M. K. Gordon, Computer Solution of Ordinary Differential Equations (1975)"
 _GEAR = "C. W. Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), section 11.1"
 _GRIGORIEFF = f"{_GEAR}; with variable steps: R. D. Grigorieff, Numer. Math. 42 (1983)"
 _MILNE = "W. E. Milne, Numerical integration of ordinary differential equations, Amer. Math. Monthly 33 (1926)"
@@ -21,6 +22,7 @@ _MILNE = "W. E. Milne, Numerical integration of ordinary differential equations,
 _ab3 = [F(23, 12), F(-16, 12), F(5, 12)]
 _ab4 = [F(55, 24), F(-59, 24), F(37, 24), F(-9, 24)]
 _am4 = [F(9, 24), F(19, 24), F(-5, 24), F(1, 24)]
+_am5 = [F(251, 720), F(646, 720), F(-264, 720), F(106, 720), F(-19, 720)]
 
 MULTISTEP = Lazy(
     named("ab2", adams, [F(3, 2), F(-1, 2)], order=2, reference=_BASHFORTH),
@@ -28,6 +30,7 @@ MULTISTEP = Lazy(
     named("ab4", adams, _ab4, order=4, reference=_BASHFORTH),
     named("abm2", adams, [F(3, 2), F(-1, 2)], [F(1, 2), F(1, 2)], order=2, reference=_MOULTON),
     named("abm4", adams, _ab4, _am4, order=4, reference=_MOULTON),
+    named("abm5-pec", adams, _ab4, _am5, mode="PEC", order=5, reference=_SHAMPINE),
     CRENSHAW,
     named("milne", milne, reference=_MILNE),
 )

@@ -20,18 +20,23 @@ _SOURCE = "step doubling: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary 
 
 
 def doubled(scheme: Scheme) -> Scheme:
-    """Return the scheme that takes two steps of dt/2 and estimates their error by a third one of dt from the same start.
+    """Return a scheme with an error estimate.
+
+    It takes two steps of dt/2 and estimates their error by a third one of dt from the same start.
 
     The result is z_two, that of the two half steps; the estimate is (z_two - z_one) / (2^p - 1), p the order: to leading
-    order the true solution less z_two. A scheme that has an error estimate is returned as it is.
-    Raises InputError, naming the scheme, if it looks back at earlier steps.
+    order the true solution less z_two. A scheme that has an error estimate is returned as it is, without the
+    starter that one of Adams' does not need where its errors are known.
+    Raises InputError, naming the scheme, if it looks back at earlier steps otherwise.
     """
+    if scheme.interpolates:
+        return dataclasses.replace(scheme, starter=None)
     if scheme.error_weights:
         return scheme
     if scheme.steps_back:
         raise InputError(
             f"scheme '{scheme.name}': its error cannot be estimated by step doubling, it looks back at earlier steps, "
-            "which are of one size; take a one-step scheme (bogacki-shampine, dormand-prince, tr-bdf2, velocity-verlet)"
+            "which are of one size; take abm5-pec or a one-step scheme (bogacki-shampine, dormand-prince, tr-bdf2, velocity-verlet)"
         )
     if any(op.kind in (OpKind.KICK, OpKind.DRIFT) for op in scheme.ops):
         return _doubled_splitting(scheme)

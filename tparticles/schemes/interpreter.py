@@ -39,8 +39,11 @@ def integrate(
     History, starter and the ratios of unequal steps are as the scheme asks for: one that needs equal steps starts
     again after a step of another size. States and f as for `step`. `velocity_free`: the accelerations do not depend
     on v, so that splittings reuse the last one of a step.
-    Raises InputError where `dt` is a number and `steps` is not a count, or the reverse; RunError as `step` does.
+    Raises InputError where `dt` is a number and `steps` is not a count, or the reverse, and for a multistep scheme without a
+    starter; RunError as `step` does.
     """
+    if scheme.starts_itself:
+        raise InputError(f"scheme '{scheme.name}' has no starter: integrate makes steps of given sizes, which need one")
     run, states, t = _Run(scheme, f, velocity_free=velocity_free), [z0], t0
     for size in _sizes(dt, steps):
         states.append(run.step(t, states[-1], _number(z0)(size)))

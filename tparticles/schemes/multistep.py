@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from typing import Any, Literal
 
 from tparticles.errors import InputError
 from tparticles.schemes.construct import Draft, scheme
@@ -16,10 +17,13 @@ from tparticles.schemes.exact import Number, shown
 from tparticles.schemes.implicit import IMPLICIT
 from tparticles.schemes.one_step import EXPLICIT
 from tparticles.schemes.program import Op, OpKind, Scheme
+from tparticles.schemes.program_checks import interpolates
 from tparticles.schemes.series import order_of
 from tparticles.schemes.tables import check_sum_is_one, checked_name, numbers
 
 _MOST_STEPS = 8
+
+Mode = Literal["PECE", "PEC"]
 
 # With r = dt / (the previous dt), the Adams-Bashforth weights of two steps are 1 + r / 2 and -r / 2.
 ADAMS_BASHFORTH_2 = ((1.0, 0.5, 0.0), (0.0, -0.5, 0.0))
@@ -30,25 +34,39 @@ def adams(
     implicit: Sequence[Number] | None = None,
     *,
     name: str,
+    mode: Mode = "PECE",
     order: int | None = None,
     starter: Scheme | None = None,
     reference: str = "",
 ) -> Scheme:
-    """Return z_(n+1) = z_n + dt sum_j b_j f_(n-j), or with `implicit` the predictor-corrector (PECE) that begins with it.
+    """Return z_(n+1) = z_n + dt sum_j b_j f_(n-j), or with `implicit` the predictor-corrector that begins with it.
 
     `explicit`: the weights of f_n, f_(n-1), ...; they sum to 1. `implicit`: the corrector's weights of f_(n+1), f_n, f_(n-1), ...,
-    which sum to 1; its f_(n+1) is evaluated at the predicted state, and f_n at the corrected one. Entries are int,
-    float or Fraction. Two explicit weights of Adams-Bashforth follow the ratio of unequal steps where the corrector does
-    not look back; other methods need equal steps.
+    which sum to 1; its f_(n+1) is evaluated at the predicted state. In the `mode` PECE f_n is evaluated at the corrected one; PEC
+    keeps the predicted one's for it, which halves the evaluations. Entries are int, float or Fraction. Two explicit weights of
+    Adams-Bashforth follow the ratio of unequal steps where the corrector does not look back; other methods need equal steps.
+    A PEC method of Adams' weights whose corrector has one more than its predictor runs under a tolerance too: the difference of the
+    two is held against it, the weights follow the steps, and it starts by itself, from order 1 on.
     `order`: what the caller believes; it is worked out, and a wrong claim is refused. `starter`: a one-step scheme that makes
-    the first steps, of order - 1 at least; left out, an explicit Runge-Kutta method of the same order up to 4.
+    the first steps, of order - 1 at least; left out, an explicit Runge-Kutta method of the same order up to 4, for PEC
+    Dormand and Prince's, which ends with f_(n+1).
     Raises InputError, naming the scheme and the value: entries that are not finite numbers, sums that are not 1, too many
-    entries, a wrong claim, a starter that does not fit.
-    Source: Hairer, Norsett, Wanner, Solving ODEs I, section III.1.
+    entries, a wrong claim, a starter that does not fit, another mode, PEC without a corrector.
+    Source: Hairer, Norsett, Wanner, Solving ODEs I, sections III.1 and III.5; modes: L. F. Shampine, M. K. Gordon, Computer
+    Solution of Ordinary Differential Equations (1975).
     """
     where = checked_name(name)
     predictor = _weights(explicit, "explicit", where)
     corrector = _weights(implicit, "implicit", where) if implicit is not None else []
+    if mode == "PEC" and corrector:
+        draft, traits = _pec(predictor, corrector), dict[str, Any]()
+        if interpolates(draft.ops):
+            weights = [c - p for c, p in zip(corrector, [0, *predictor], strict=True)]
+            traits = {"interpolates": True, "error_weights": _floats(weights), "error_order": len(predictor)}
+        return _with_starter(draft, name, order, starter, _fsal_starter, reference, **traits)
+    if mode != "PECE":
+        allowed = "for a method with a corrector PECE or PEC, for others PECE"
+        raise InputError(f"{where}: mode is {shown(mode)}, allowed are {allowed}")
     steps_back = max(len(predictor), len(corrector) - 1) - 1
     predicted = steps_back + 1
     varies = [Fraction(3, 2), Fraction(-1, 2)] == predictor and len(corrector) <= 2
@@ -68,6 +86,22 @@ def adams(
         steps_back=steps_back,
     )
     return _with_starter(draft, name, order, starter, _explicit_starter, reference)
+
+
+def _pec(predictor: Sequence[Number], corrector: Sequence[Number]) -> Draft:
+    """Return z' = z + dt sum_j b_j f_(n-j), f' = f(z'), z_(n+1) with f' for f_(n+1): f' is in k_0, f_n in k_1, and so on."""
+    back = max(len(predictor), len(corrector) - 1)
+    return Draft(
+        ops=(
+            Op(OpKind.COMBINE, weights=(0.0, *_floats(predictor))),
+            Op(OpKind.EVALUATE, time=1.0),
+            Op(OpKind.COMBINE, weights=_floats(corrector)),
+        ),
+        slopes=back + 1,
+        history=_shifts(range(back, 0, -1)),
+        carried=tuple(range(1, back + 1)),
+        steps_back=back,
+    )
 
 
 def bdf(steps: int, *, name: str, starter: Scheme | None = None, reference: str = "") -> Scheme:
@@ -134,6 +168,11 @@ def _explicit_starter(order: int) -> Scheme:
     return EXPLICIT[("euler", "midpoint", "rk3", "rk4")[min(order, 4) - 1]]
 
 
+def _fsal_starter(order: int) -> Scheme:
+    """Return a scheme of that order, up to 5, that leaves k_0 = f(t_(n+1), z_(n+1))."""
+    return EXPLICIT["bogacki-shampine" if order < 4 else "dormand-prince"]
+
+
 def _implicit_starter(order: int) -> Scheme:
     return IMPLICIT[("backward-euler", "sdirk2", "sdirk3")[min(order, 3) - 1]]
 
@@ -145,6 +184,7 @@ def _with_starter(
     starter: Scheme | None,
     starter_of: Callable[[int], Scheme],
     reference: str,
+    **traits: Any,
 ) -> Scheme:
     if draft.steps_back == 0:
         if starter is not None:
@@ -152,7 +192,7 @@ def _with_starter(
         return scheme(draft, name=name, order=order, reference=reference)
     if starter is None:
         starter = starter_of(order_of(draft, where=f"scheme '{name}'"))
-    return scheme(draft, name=name, order=order, reference=reference, starter=starter)
+    return scheme(draft, name=name, order=order, reference=reference, starter=starter, **traits)
 
 
 def _weights(values: object, what: str, where: str) -> list[Number]:

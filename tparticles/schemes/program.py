@@ -61,6 +61,10 @@ class Scheme:
     `history`: ROTATE and DIFFERENCE ops run after every step, a starting step too, that fill the registers `carried`
     from step to step. `steps_back`: how many steps must have been made since a start before `ops` may run; until then
     `starter` runs, a one-step scheme. `ssp`: the strong-stability-preserving coefficient, where it has one.
+    `interpolates`: each COMBINE integrates over the step the polynomial through the slopes that it has a weight for, where k_j
+    is f at t + (1 - j) dt: a predictor, and a corrector of one slope more, whose difference is the error estimate. With steps of
+    varying size the same slopes have other weights; and the first step after a start needs but the slope there, the second one
+    more, and so on, so that where errors are held against a tolerance no `starter` is needed.
     Raises InputError, naming the scheme and the value, if the program is not well formed.
     """
 
@@ -80,6 +84,7 @@ class Scheme:
     steps_back: int = 0
     starter: Scheme | None = None
     ssp: float | None = None
+    interpolates: bool = False
 
     def __post_init__(self) -> None:
         program_checks.check(self)
@@ -108,6 +113,11 @@ class Scheme:
     def variable_steps(self) -> bool:
         """Whether its steps may differ in size without a restart."""
         return "equal steps" not in self.needs
+
+    @property
+    def starts_itself(self) -> bool:
+        """Whether it begins with one slope, by lower orders and short steps."""
+        return self.interpolates and self.starter is None
 
     @property
     def one_step(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from tparticles.errors import InputError
@@ -37,7 +38,10 @@ def check(scheme: Scheme) -> None:
         _check_reuse(scheme, where)
     if scheme.steps_back:
         _check_history(scheme, where)
-        _check_starter(scheme, where)
+        if not scheme.starts_itself:
+            _check_starter(scheme, where)
+        if scheme.interpolates and not interpolates(scheme.ops):
+            raise InputError(f"{where}: it is said to interpolate slopes, but its weights are not Adams'")
     elif scheme.history or scheme.carried or scheme.starter is not None:
         raise InputError(f"{where}: history, carried and starter are for schemes with steps_back > 0, here it is 0")
 
@@ -153,8 +157,8 @@ def _check_registers(scheme: Scheme, where: str) -> None:
         here = _here(where, "ops", i)
         if op.kind.name in {"COMBINE", "KICK"}:
             for j, weight in enumerate(op.weights):
-                # A zero is no excuse: an executor may multiply it with whatever the register holds.
-                if j not in written:
+                # Zeros read nothing; but where there is nothing else, executors multiply k_0 by one.
+                if j not in written and (weight or not any(op.weights)):
                     raise InputError(f"{here}: weight {j} ({shown(weight)}) refers to slope {j}, not evaluated yet")
         if op.kind.name == "ROTATE" and op.source not in written:
             raise InputError(f"{here}: ROTATE reads slope {op.source}, which is not evaluated yet")
@@ -221,6 +225,38 @@ def _check_reuse(scheme: Scheme, where: str) -> None:
     for i, op in enumerate(scheme.ops[origin[0] + 1 :], start=origin[0] + 1):
         if op.kind.name not in {"EVALUATE", "ROTATE", "KICK"}:
             raise InputError(f"{where}, op {i}: {op.kind.name} changes z after the evaluation that reuses keeps")
+
+
+def interpolates(ops: Sequence[Op]) -> bool:
+    """Return whether `Scheme.interpolates` may be said of a program."""
+    if [op.kind.name for op in ops] != ["COMBINE", "EVALUATE", "COMBINE"]:
+        return False
+    predictor, _, corrector = ops
+    back = len(corrector.weights) - 1
+    return (
+        len(predictor.weights) == back + 1
+        and all(
+            math.isclose(weight, exact, rel_tol=1e-14, abs_tol=1e-15)
+            for op, nodes in ((predictor, range(0, -back, -1)), (corrector, range(1, -back, -1)))
+            for weight, exact in zip(op.weights[-len(nodes) :], quadrature(nodes), strict=True)
+        )
+        and predictor.weights[0] == 0.0
+    )
+
+
+def quadrature(nodes: Sequence[int]) -> list[Fraction]:
+    """Return the weights of slopes at `nodes` that integrate from 0 to 1 the polynomial through them."""
+    weights = []
+    for node in nodes:
+        polynomial = [Fraction(1)]  # the one that is 1 at this node and 0 at the others, lowest power first
+        for other in nodes:
+            if other != node:
+                shifted = [Fraction(0), *polynomial]
+                polynomial = [
+                    (up - other * down) / (node - other) for up, down in zip(shifted, [*polynomial, 0], strict=True)
+                ]
+        weights.append(sum((c / (power + 1) for power, c in enumerate(polynomial)), Fraction(0)))
+    return weights
 
 
 def kicks_after(ops: Sequence[Op]) -> bool:
