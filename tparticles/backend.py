@@ -223,6 +223,8 @@ def _initialise(backend: Backend) -> None:
             offline_cache=True,
             offline_cache_file_path=str(cache_folder()),
             enable_fallback=False,
+            # Static loops go over attributes, of which a scheme with a long past has more than the 32 that Taichi warns of.
+            unrolling_limit=0,
             verbose=False,
             log_level=ti.ERROR,
         )

@@ -35,6 +35,7 @@ FILMS = {
     "own steps": lambda: scene(
         group(system=SWIRL, **SPARKS), scheme="dormand-prince", steps=tp.ErrorControl(rtol=1e-4, atol=1e-5)
     ),
+    "own steps and a past": lambda: scene(group(system=FALL, **SPARKS), scheme="abm5-pec", steps=tp.PixelTolerance()),
 }
 
 

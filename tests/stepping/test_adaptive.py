@@ -19,7 +19,7 @@ from tparticles.studies.work_problems import Kepler
 
 pytestmark = pytest.mark.usefixtures("cpu64")
 
-NAMES = ("bogacki-shampine", "dormand-prince", "rk4", "euler", "midpoint", "tr-bdf2", "sdirk3")
+NAMES = ("bogacki-shampine", "dormand-prince", "rk4", "euler", "midpoint", "tr-bdf2", "sdirk3", "abm5-pec")
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_steps_that_meet_a_gust_are_rejected_and_counted(cpu64):
     np.testing.assert_allclose(bench.get("x")[:, 0], 1e3 * math.sqrt(math.pi) / 100, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["dormand-prince", "rk4", "tr-bdf2"])
+@pytest.mark.parametrize("name", ["dormand-prince", "rk4", "tr-bdf2", "abm5-pec"])
 def test_a_path_does_not_depend_on_the_neighbours(swelling, name):
     tolerance = ErrorControl(rtol=1e-6, atol=1e-6)
     rng = np.random.default_rng(7)
@@ -141,7 +141,7 @@ class Ending:
         return ti.Vector([ti.sqrt(ti.select(x[0] > 0.0, 0.5 - t, 0.25)), 0.0, 0.0])
 
 
-@pytest.mark.parametrize("name", ["dormand-prince", "sdirk3"])
+@pytest.mark.parametrize("name", ["dormand-prince", "sdirk3", "abm5-pec"])
 def test_a_law_that_ends_in_nan_leaves_nan_for_the_guard(cpu64, name):
     # No endless loop, and the particle that did not go there is unharmed.
     bench = Particles(tp.Advected(flow=Ending()), 2)
@@ -161,7 +161,7 @@ class Emptying:
         return ti.Vector([1.0 - 10.0 * ti.sqrt(x[0]), 0.0, 0.0])
 
 
-@pytest.mark.parametrize("name", ["dormand-prince", "rk4"])
+@pytest.mark.parametrize("name", ["dormand-prince", "rk4", "abm5-pec"])
 def test_a_step_that_ends_in_nan_is_rejected(cpu64, name):
     bench = Particles(tp.Advected(flow=Emptying()), 2)
     bench.set("x", (1.0, 0.0, 0.0))
@@ -179,14 +179,15 @@ class Roughness:
         return ti.Vector([wild, 0.0, 0.0])
 
 
-def test_a_tolerance_that_no_step_meets_ends_in_a_named_error(cpu64):
+@pytest.mark.parametrize(("name", "lanes"), [("dormand-prince", 1), ("abm5-pec", 1), ("abm5-pec", 4)])
+def test_a_tolerance_that_no_step_meets_ends_in_a_named_error(cpu64, name, lanes):
     bench = Particles(tp.Advected(flow=Roughness()), 3)
     bench.set("x", (0.0, 0.0, 0.0))
     bench.set("id", np.zeros(3))
     bench.columns["id"][0].from_numpy(np.arange(7, 7 + bench.columns.padded, dtype=np.int32))
     message = "particle 7: the tolerance asks for steps below 9.1e-13 of a frame, where rounding rules; loosen it"
     with pytest.raises(RunError, match=message):
-        bench.run("dormand-prince", 0.0, 1.0, 1.0, lanes=1, tolerance=ErrorControl(rtol=1e-13, atol=1e-13))
+        bench.run(name, 0.0, 1.0, 1.0, lanes=lanes, tolerance=ErrorControl(rtol=1e-13, atol=1e-13))
 
 
 class NoRoot:

@@ -10,7 +10,7 @@ from tparticles import backend, schemes
 from tparticles.stepping.control import ErrorControl
 
 COUNT = 500
-ADAPTIVE = ("bogacki-shampine", "dormand-prince", "rk4", "tr-bdf2")
+ADAPTIVE = ("bogacki-shampine", "dormand-prince", "rk4", "tr-bdf2", "abm5-pec")
 
 
 def advance(bench, scheme, **options):

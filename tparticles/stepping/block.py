@@ -26,20 +26,15 @@ class Block:
             setattr(self, name, found[0] if count == 1 else found)
 
     @ti.func
-    def rotate(self, to, source, taking: ti.template(), all_take):
-        """Copy register `source` to register `to`, for the lanes that are `taking` it: mostly all, and then whole vectors."""
-        if all_take > 0:
-            for d in ti.static(range(len(self.k))):
-                values = ti.Vector([0.0] * ti.static(self.lanes))  # for all that LLVM knows, the registers overlap
-                for lane in range(self.lanes):
-                    values[lane] = self.k[d][source * self.lanes + lane]
-                for lane in range(self.lanes):
-                    self.k[d][to * self.lanes + lane] = values[lane]
-        else:
+    def rotate(self, to, source, taking: ti.template()):
+        """Copy register `source` to register `to`, for the lanes that are `taking` it."""
+        for d in ti.static(range(len(self.k))):
+            values = ti.Vector([0.0] * ti.static(self.lanes))  # for all that LLVM knows, the registers overlap
             for lane in range(self.lanes):
-                if taking[lane] > 0:
-                    for d in ti.static(range(len(self.k))):
-                        self.k[d][to * self.lanes + lane] = self.k[d][source * self.lanes + lane]
+                there, here = self.k[d][source * self.lanes + lane], self.k[d][to * self.lanes + lane]
+                values[lane] = ti.select(taking[lane] > 0, there, here)
+            for lane in range(self.lanes):
+                self.k[d][to * self.lanes + lane] = values[lane]
 
     @ti.func
     def difference(self, to, taking: ti.template()):

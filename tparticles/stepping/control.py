@@ -5,6 +5,7 @@ The clamp is one `@ti.pyfunc`, the same on the host and in kernels, wrapped arou
 
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false
 
+import dataclasses
 import math
 from typing import Annotated, Literal, Protocol
 
@@ -19,6 +20,9 @@ from ..spec import Positive, spec
 
 Clamp = Literal["equal", "slide32", "dyadic", "slide32-anyway"]
 _MOST_STEPS = 1_000_000  # per frame
+_LEAST, _MOST = 4.0, 1000.0  # by what the errors of a life grow
+_USUAL = 64.0  # where nobody knows how fast a flow pulls neighbours apart
+_PULLS = 60.0  # that rate times a life, in which they grow by e
 CALM = 1e-3  # of what is allowed: an error that is no luck
 
 
@@ -152,7 +156,7 @@ class Tolerance(Protocol):
 class ErrorControl:
     """Every particle takes the largest steps whose local error stays below atol + rtol |x|, and so for v and T.
 
-    PI control on the scheme's embedded pair, or on step doubling where it has none.
+    PI control on the scheme's embedded pair, on what its corrector adds, or on step doubling where it has neither.
     """
 
     rtol: Annotated[Positive, Field(lt=1)] = 1e-4
@@ -188,20 +192,30 @@ class ErrorControl:
 class PixelTolerance:
     """Every particle takes the largest steps that keep its dot within `px` pixels of where it should be.
 
-    The local error is projected by the scene's camera; a step may err by `px` / `growth`. An error in v counts as the way it
-    leads astray within a frame. `growth` stands for how much the errors of a life add up, and grow: turbulence pulls
-    neighbours apart. It is no bound, since single particles that pass a stagnation point part faster (measured:
-    `python -m tests.bench pixels`).
-    Estimates of steps across several eddies are a matter of luck: the first step is a quarter of a frame, none is more than
-    twice the one before, and one above half a frame follows an error of next to nothing.
+    The local error is held against what it would be on the film of the scene's camera; a step may err by `px` / `growth`. An error
+    along the line of sight counts as one across it, and one in v as the way it leads astray within a frame.
+    `growth` stands for how much the errors of a life add up, and grow: turbulence pulls neighbours apart, exponentially. Left out,
+    it is worked out for each group as 4 exp(B L / 60), at most 1000: B [1/s] bounds how fast its flow can pull neighbours apart
+    (the imaginary part of the Jacobian's bound), L [s] is the longest life that a particle can have, and 60 is measured, not
+    derived: on the whole they part far slower than the bound, and single ones that pass a stagnation point do not
+    (`python -m tests.bench pixels`).
+    Estimates of steps across several eddies are a matter of luck: the first step is a quarter of a frame (a 64th, where it is of
+    order one), none is more than twice the one before, and one above half a frame follows an error of next to nothing.
     """
 
     px: Positive = 0.5
-    growth: Positive = 8.0
+    growth: Positive | None = None
 
     first = 0.25
     most = 2.0
     trusted = 0.5
+
+    def fitted(self, rate: float | None, life: float) -> "PixelTolerance":
+        """Return one with a growth for a `life` [s] in a flow that pulls apart at `rate` [1/s], None where nobody knows it."""
+        if self.growth is not None:
+            return self
+        growth = _USUAL if rate is None else min(_MOST, _LEAST * math.exp(min(rate * life / _PULLS, 700.0)))
+        return dataclasses.replace(self, growth=growth)
 
     def step(self, scheme: Scheme, bound: Bound | None) -> float:
         """Return the largest step [s]: no limit but the frame."""
@@ -210,7 +224,7 @@ class PixelTolerance:
     def numbers(self, frame: float, camera: np.ndarray | None) -> np.ndarray:
         """Return what kernels need, float32 (16,): pixels allowed in a step, and the camera row (see `render.project`)."""
         assert camera is not None
-        return np.concatenate([[self.px / self.growth], camera]).astype(np.float32)
+        return np.concatenate([[self.px / (self.growth or _USUAL)], camera]).astype(np.float32)
 
     @ti.func
     def error(self, target: ti.template(), e, z0, z, h, frame):
@@ -219,17 +233,11 @@ class PixelTolerance:
         if ti.static(e.n >= 6):
             off += frame * ti.Vector([e[3], e[4], e[5]])
         x = ti.Vector([z[0] - target[1], z[1] - target[2], z[2] - target[3]])
-        right = ti.Vector([target[4], target[5], target[6]])
-        up = ti.Vector([target[7], target[8], target[9]])
         forward = ti.Vector([target[10], target[11], target[12]])
         # Beside and behind the camera as at the edge of a very wide lens: who is there may come into view.
         depth = ti.max(x.dot(forward), 0.25 * x.norm() + 1e-3)
-        scale = target[13] / depth
-        # u = f X / Z: du = f / Z (dX - X / Z dZ)
-        along = off.dot(forward) / depth
-        du = scale * (off.dot(right) - along * x.dot(right))
-        dv = scale * (off.dot(up) - along * x.dot(up))
-        return ti.sqrt(du * du + dv * dv) / target[0]
+        # An error along the line of sight counts as one across it: what it leads astray is seen later.
+        return target[13] / depth * off.norm() / target[0]
 
 
 def _parts(components: int) -> list[tuple[int, int]]:
@@ -248,6 +256,11 @@ def check_fit(controller: Controller, clamp: str, scheme: Scheme) -> None:
     """
     if isinstance(controller, ErrorControl | PixelTolerance):
         doubled(scheme)
+    elif scheme.starts_itself:
+        raise InputError(
+            f"scheme '{scheme.name}' has no starter, and starts itself only where its error is held against a tolerance: step "
+            "with ErrorControl(rtol, atol) or PixelTolerance(px)"
+        )
     if clamp == "slide32" and (not scheme.one_step or scheme.system_orders == {2}):
         kind = "multistep scheme" if not scheme.one_step else "splitting"
         raise InputError(

@@ -21,15 +21,15 @@ from ..binding import Parameters
 from ..errors import InputError, RunError
 from ..schemes import Scheme
 from ..systems.attributes import Columns
-from ..systems.terms import FLOW_REGISTER, first_writers, is_heated, right_hand_side
+from ..systems.terms import is_heated, right_hand_side
 from .block import Block
 from .control import Tolerance
 from .newton import Newton
 from .pace import LONGEST, NOBODY, Pace
 from .report import StepReport
 from .table import Table
+from .walk import Walk
 
-_COMBINE, _EVALUATE, _KICK, _DRIFT, _SOLVE, _ROTATE, _DIFFERENCE = range(7)
 _PARTS = 4096  # of a group on a GPU
 _RUN = 16  # blocks that a CPU thread takes in a row
 
@@ -71,32 +71,36 @@ class FusedStepper:
         self.state = [field for name in (*system.state, *["T"] * self.heated) for field in columns[name]]
         self.compiled = self  # whose kernel runs
         # first-order particles have no velocity of their own; where one is wanted, it is the slope at the frame's end
-        self.probes = system.order == 1 and "v" in columns
+        self.streaks = system.order == 1 and "v" in columns
         components = len(self.state)
         self.table = Table.of(scheme)
         self.coefficients = self.table.coefficients.astype(self.parameters.array.dtype)
         self.reuses = int(self.table.reuses(velocity_free=getattr(system, "velocity_free", False)))
         self.tolerance = tolerance
         self.pace = Pace(self.table, components, clamp=clamp, tolerance=tolerance, columns=columns)
-        self.newton = Newton(first=0 if system.order == 1 else 3, components=components, heated=self.heated)
-        self.firsts = first_writers(self.terms)
+        newton = Newton(first=0 if system.order == 1 else 3, components=components, heated=self.heated)
+        self.walk = Walk(self.table, self.terms, pace=self.pace, newton=newton, components=components)
         # the local vectors of a block by name, and how many scalars of a particle each name stands for
         self.layout = {"z0": components, "z": components, "u": 3, "age": 1, "size": 1} | self.pace.vectors()
         if self.table.implicit:
-            self.layout |= self.newton.vectors()
+            self.layout |= newton.vectors()
         self.width = sum(self.layout.values())
         on = backend.current()
         self.serial = on.in_one_thread(columns.padded)
+        # a scheme that starts itself has that slope, of its predictor
+        self.probes = self.streaks and not self.pace.starts_itself
         # The blocks are dealt out in runs, so that the parts of a group have much the same to do.
         self.parts = (1 if self.serial else on.threads) if on.is_cpu else _PARTS
         self.run = _RUN if on.is_cpu else 1
         # A CPU thread gets no less than so many iterations of a loop: all but the first of them are idle.
         self.grain = backend.GRAIN if on.is_cpu and not self.serial else 1
 
-    def twin(self, system: Any, *, cooling: Any, columns: Columns, size: float) -> "FusedStepper":
+    def twin(
+        self, system: Any, *, cooling: Any, columns: Columns, size: float, tolerance: Tolerance | None
+    ) -> "FusedStepper":
         """Return a stepper for other particles, in a part of the same columns, that runs this one's kernel: see `likeness`."""
         twin = copy.copy(self)
-        twin.columns, twin.size, twin.parameters = columns, size, Parameters()
+        twin.columns, twin.size, twin.parameters, twin.tolerance = columns, size, Parameters(), tolerance
         right_hand_side(system, cooling, twin.parameters)
         assert twin.parameters.structure == self.parameters.structure
         return twin
@@ -117,7 +121,7 @@ class FusedStepper:
         result = self.compiled._advance(before, count, t0, t1, dt, self.size, *program, target, self.parameters.array)
         *counts, stuck = (int(v) for v in result)
         if stuck != NOBODY:
-            raise RunError(self._why_stuck(stuck))
+            raise RunError(self._why_stuck(stuck - 1))
         return StepReport.of_bits(*counts)
 
     def _why_stuck(self, slot: int) -> str:
@@ -125,10 +129,6 @@ class FusedStepper:
         if self.pace.adaptive:
             return f"{who}: the tolerance asks for steps below {floor}, where rounding rules; loosen it or use --precision f64"
         return f"{who}: Newton's method finds no solution of scheme '{self.table.scheme.name}', not even with steps of {floor}"
-
-    @ti.func
-    def _rate(self, term: ti.template(), p, t, z, u, q):
-        return term.evaluate(term.law, p, t, z, u, q)
 
     @ti.kernel
     def _advance(
@@ -159,7 +159,11 @@ class FusedStepper:
                 shortest, longest = LONGEST, 0
                 r = task // self.grain
                 while r < runs:
-                    for block in range(r * self.run, ti.min(blocks, (r + 1) * self.run)):
+                    # blocks of lanes one after another, or one block whose lanes take the particles of the run in turn
+                    first, last = r * self.run, ti.min(blocks, (r + 1) * self.run)
+                    if ti.static(self.pace.starts_itself):
+                        last = first + 1
+                    for block in range(first, last):
                         n, new, no, low_, high_, slot = self._advance_block(
                             before + block,
                             before * self.lanes + count,
@@ -209,7 +213,16 @@ class FusedStepper:
         slopes = [ti.Vector([0.0] * (lanes * self.table.scheme.registers)) for _ in range(ti.static(len(self.state)))]
         b = ti.static([Block(self.layout, vectors, slopes, self.lanes)])[0]
         span, start = ti.cast(t1 - t0, float), ti.cast(t0, float)
-        self._load(b, block, count, t0, t1, dt, size)
+        slots = ti.Vector([0] * lanes)  # of the particles in the lanes, from 1 on; 0: nobody
+        self.pace.reset(b)
+        queue = block * lanes
+        end = ti.min(queue + lanes * self.run, count)
+        if ti.static(self.pace.starts_itself):
+            queue = self._take_on(b, slots, queue, end, count, t0, t1, dt, size)
+        else:
+            for lane in range(lanes):
+                slots[lane] = queue + lane + 1
+                self._load(b, lane, queue + lane, count, t0, t1, dt, size)
         busy = self.pace.busy(b)
         fresh, probing, stuck = 0, ti.cast(ti.static(1 if self.probes else 0), ti.i32), NOBODY
         while busy + probing > 0:
@@ -220,181 +233,58 @@ class FusedStepper:
                 starting = self.pace.choose(b, dt, span)
                 if starting > 0:
                     first, last = edges[1] + fresh, edges[2]
-            self._walk(b, first, last, ops, coefficients, span, start)
+            self.walk.walk(b, first, last, ops, coefficients, span, start)
             if busy > 0:
                 if ti.static(not self.pace.counted):
-                    stuck = ti.min(stuck, self.pace.judge(b, block, coefficients, target, dt, span))
+                    stuck = ti.min(stuck, self.pace.judge(b, slots, coefficients, target, dt, span))
                 if ti.static(self.table.shifts):
-                    self._shift(b, edges[2 + starting], edges[3 + starting], ops)
+                    self.walk.shift(b, edges[2 + starting], edges[3 + starting], ops)
                 busy = self.pace.commit(b)
                 fresh = ti.static(self.reuses)
-        self._store(b, block)
+                if ti.static(self.pace.starts_itself):
+                    queue = self._take_on(b, slots, queue, end, count, t0, t1, dt, size)
+                    busy = self.pace.busy(b)
+        if ti.static(not self.pace.starts_itself):
+            for lane in range(lanes):
+                self._store(b, lane, slots[lane] - 1, 0)
         return self.pace.totals(b, stuck)
 
     @ti.func
-    def _load(self, b: ti.template(), block, count, t0, t1, dt, size):
-        m = ti.static(len(self.state))
+    def _take_on(self, b: ti.template(), slots: ti.template(), queue, end, count, t0, t1, dt, size):
+        """Let the next particles of the queue into the lanes of those that have arrived; return who comes next.
+
+        Lanes that wait for the slowest of a block would cost as much as lanes at work, where particles choose their own steps.
+        """
         for lane in range(b.lanes):
-            i = block * b.lanes + lane
-            for d in ti.static(range(m)):
-                b.z0[d][lane] = self.state[d][i]
-                b.z[d][lane] = b.z0[d][lane]
-            birth = self.columns["birth"][0][i]
-            b.left[lane] = ti.select(i < count, ti.cast(t1 - ti.max(t0, birth), float), 0.0)
-            b.age[lane] = ti.cast(t0 - birth, float)
-            b.size[lane] = size
-            if ti.static("size" in self.columns):
-                b.size[lane] = self.columns["size"][0][i]
-            self.pace.load(b, lane, i, birth >= t0, dt, ti.cast(t1 - t0, float))
+            if b.left[lane] <= 0.0:
+                if slots[lane] > 0:
+                    self._store(b, lane, slots[lane] - 1, 1)
+                slots[lane] = 0
+                while (queue < end) & (slots[lane] == 0):
+                    self._load(b, lane, queue, count, t0, t1, dt, size)
+                    queue += 1
+                    slots[lane] = ti.select(b.left[lane] > 0.0, queue, 0)
+        return queue
 
     @ti.func
-    def _store(self, b: ti.template(), block):
-        m = ti.static(len(self.state))
-        for lane in range(b.lanes):
-            i = block * b.lanes + lane
-            for d in ti.static(range(m)):
-                self.state[d][i] = b.z0[d][lane]
-            if ti.static(self.probes):
-                for d in ti.static(range(3)):
-                    self.columns["v"][d][i] = b.k[d][lane]
-            self.pace.store(b, lane, i)
+    def _load(self, b: ti.template(), lane, i, count, t0, t1, dt, size):
+        for d in ti.static(range(len(self.state))):
+            b.z0[d][lane] = self.state[d][i]
+            b.z[d][lane] = b.z0[d][lane]
+        birth = self.columns["birth"][0][i]
+        b.left[lane] = ti.select(i < count, ti.cast(t1 - ti.max(t0, birth), float), 0.0)
+        b.age[lane] = ti.cast(t0 - birth, float)
+        b.size[lane] = size
+        if ti.static("size" in self.columns):
+            b.size[lane] = self.columns["size"][0][i]
+        self.pace.load(b, lane, i, birth >= t0, dt, ti.cast(t1 - t0, float))
 
     @ti.func
-    def _walk(self, b: ti.template(), first, last, ops: ti.template(), coefficients: ti.template(), span, start):
-        """Run ops first..last-1 of the program."""
-        for op in range(first, last):
-            kind = ops[op, 0]
-            if kind == _COMBINE:
-                self._combine(b, op, ops, coefficients)
-            if ti.static(_KICK in self.table.kinds):
-                if kind == _KICK:
-                    self._kick(b, op, ops, coefficients)
-            if ti.static(_DRIFT in self.table.kinds):
-                if kind == _DRIFT:
-                    for lane in range(b.lanes):
-                        for d in ti.static(range(3)):
-                            b.z[d][lane] += coefficients[op, 1] * b.h[lane] * b.z[3 + d][lane]
-            if ti.static(self.table.rotates or self.table.differs):
-                if (kind == _ROTATE) | (kind == _DIFFERENCE):
-                    going = ti.Vector([0] * ti.static(self.lanes))
-                    for lane in range(b.lanes):
-                        going[lane] = ti.select(b.h[lane] > 0.0, 1, 0)
-                    if ti.static(self.table.rotates):
-                        if kind == _ROTATE:
-                            b.rotate(ops[op, 1], ops[op, 2], going, going.min())
-                    if ti.static(self.table.differs):
-                        if kind == _DIFFERENCE:
-                            b.difference(ops[op, 1], going)
-            if ti.static(not self.table.implicit):
-                if kind == _EVALUATE:
-                    self._evaluate(b, ops[op, 1] * b.lanes, coefficients[op, 0], span, start)
-            else:
-                if (kind == _EVALUATE) | (kind == _SOLVE):
-                    self._evaluate_or_solve(b, op, ops, coefficients, span, start)
-
-    @ti.func
-    def _evaluate_or_solve(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template(), span, start):
-        """An implicit stage is a number of evaluations: one copy of the law serves both kinds of op."""
-        solving, linear, slot = ops[op, 0] == _SOLVE, ops[op, 3], ops[op, 1] * b.lanes
-        rounds, r = 1, 0
-        if solving:
-            rounds = ti.select(linear > 0, self.newton.rounds_linear, self.newton.rounds)
-            for lane in range(b.lanes):
-                b.w[lane] = self._weight(b, op, 0, lane, coefficients)
-            r = self.newton.begin(b, linear)
-        while r < rounds:
-            self._evaluate(b, slot, coefficients[op, 0], span, start)
-            if solving:
-                if self.newton.digest(b, slot, r, linear) > 0:
-                    r = rounds
-            r += 1
-        if solving:
-            self.newton.finish(b, slot)
-            for lane in range(b.lanes):
-                b.failed[lane] = ti.max(b.failed[lane], b.waiting[lane])
-
-    @ti.func
-    def _weight(self, b: ti.template(), op, j, lane, coefficients: ti.template()):
-        """Return weight `j` of an op; with steps of varying size (n0 + n1 r) / (1 + d r), r the ratio to the last one."""
-        w = coefficients[op, 1 + j]
-        if ti.static(self.table.variable):
-            at, r = ti.static(1 + self.table.scheme.registers) + 3 * j, b.ratio[lane]
-            w = (coefficients[op, at] + coefficients[op, at + 1] * r) / (1.0 + coefficients[op, at + 2] * r)
-        return w
-
-    @ti.func
-    def _combine(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
-        """z = z0 + dt sum_j w_j k_j; the first j comes last but z0, the largest of all: one rounding counts."""
-        m = ti.static(len(self.state))
-        first, begun = ops[op, 4], 0
-        while ops[op, 5 + begun] >= 0:
-            j = ops[op, 5 + begun]
-            for lane in range(b.lanes):
-                w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
-                for d in ti.static(range(m)):
-                    b.z[d][lane] = ti.select(begun > 0, b.z[d][lane], 0.0) + w * b.k[d][j * b.lanes + lane]
-            begun += 1
-        for lane in range(b.lanes):
-            w = self._weight(b, op, first, lane, coefficients) * b.h[lane]
-            for d in ti.static(range(m)):
-                others = ti.select(begun > 0, b.z[d][lane], 0.0)
-                b.z[d][lane] = b.z0[d][lane] + (others + w * b.k[d][first * b.lanes + lane])
-
-    @ti.func
-    def _kick(self, b: ti.template(), op, ops: ti.template(), coefficients: ti.template()):
-        """v += dt sum_j w_j a_j."""
-        i = 4
-        while ops[op, i] >= 0:
-            j = ops[op, i]
-            for lane in range(b.lanes):
-                w = self._weight(b, op, j, lane, coefficients) * b.h[lane]
-                for d in ti.static(range(3)):
-                    b.z[3 + d][lane] += w * b.k[3 + d][j * b.lanes + lane]
-            i += 1
-
-    @ti.func
-    def _evaluate(self, b: ti.template(), slot, c, span, start):
-        """k_s = f(t + c dt, z), one loop over the lanes for each pass of each term; the first to write a component sets it."""
-        m = ti.static(len(self.state))
-        for term, sets in ti.static(self.firsts):
-            for p in range(term.passes()):
-                for lane in range(b.lanes):
-                    # time since the frame began: what is done, plus the stage
-                    tau = span - b.left[lane] + c * b.h[lane]
-                    value = self._rate(
-                        term,
-                        p,
-                        start + tau,
-                        ti.Vector([b.z[d][lane] for d in ti.static(range(m))]),
-                        ti.Vector([b.u[d][lane] for d in ti.static(range(3))]),
-                        ti.Vector([b.age[lane] + tau, b.size[lane]]),
-                    )
-                    for d in ti.static(range(term.width)):
-                        if ti.static(term.first == FLOW_REGISTER):
-                            b.u[d][lane] = self._sum(term, sets, p, b.u[d][lane], value[d])
-                        else:
-                            i = slot + lane
-                            b.k[term.first + d][i] = self._sum(term, sets, p, b.k[term.first + d][i], value[d])
-
-    @ti.func
-    def _sum(self, term: ti.template(), sets: ti.template(), p, before, value):
-        total = before + value
-        if ti.static(sets and term.in_passes):
-            total = ti.select(p > 0, before, 0.0) + value
-        elif ti.static(sets):
-            total = value
-        return total
-
-    @ti.func
-    def _shift(self, b: ti.template(), first, last, ops: ti.template()):
-        """Run ops first..last-1, ROTATE and DIFFERENCE, for the lanes whose step is accepted."""
-        accepted = ti.Vector([0] * ti.static(self.lanes))
-        for lane in range(b.lanes):
-            accepted[lane] = ti.select(self.pace.accepted(b, lane), 1, 0)
-        all_accepted = accepted.min()
-        for op in range(first, last):
-            if ops[op, 0] == _ROTATE:
-                b.rotate(ops[op, 1], ops[op, 2], accepted, all_accepted)
-            if ti.static(_DIFFERENCE in self.table.kinds):
-                if ops[op, 0] == _DIFFERENCE:
-                    b.difference(ops[op, 1], accepted)
+    def _store(self, b: ti.template(), lane, i, slope: ti.template()):
+        """Write particle `i` back; `slope`: the register of the slope where it is."""
+        for d in ti.static(range(len(self.state))):
+            self.state[d][i] = b.z0[d][lane]
+        if ti.static(self.streaks):
+            for d in ti.static(range(3)):
+                self.columns["v"][d][i] = b.k[d][slope * b.lanes + lane]
+        self.pace.store(b, lane, i)

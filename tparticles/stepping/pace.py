@@ -7,32 +7,43 @@ its starter. By choice: the particles choose, by the error of a step or by wheth
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportOptionalMemberAccess=false, reportOperatorIssue=false
 
+from typing import Any
+
 import taichi as ti
 
 from .. import backend
 from ..schemes import Scheme
 from ..systems.attributes import Attribute, Columns
+from .block import Block
 from .control import CALM, CLAMPS, Tolerance, step_factor
 from .table import Table
 
 NOBODY = 0x7FFFFFFF
 LONGEST = 0x7F7FFFFF  # bits of the largest f32: non-negative floats order like their bits
 _NO_NUMBER = 1e12  # the error where the estimate is none
+_SHORT = 1 / 16  # of a first step, where it is of order one
+_NO_TIME = 1e-30  # [s]; a step that long moves neither the clock nor anybody by a bit: it only looks at the first slope
 _GROWTH = 2.4  # BDF2 is zero-stable for step ratios below 1 + sqrt 2 (Hairer, Norsett, Wanner I, III.5)
 
 
 def memory(scheme: Scheme, components: int, *, adaptive: bool) -> tuple[Attribute, ...]:
     """Return the attributes that particles of a state of `components` numbers carry from frame to frame for their steps.
 
-    `history`: the carried registers, then the last dt [s] and how many steps it holds. `dt`: the next step to try.
+    `history`: the carried registers, then the last dt [s], or as many as their times are apart, and how many steps it holds.
+    `dt`: the next step to try.
     """
     found = []
     if scheme.steps_back:
-        width = len(scheme.carried) * components + 2
+        width = len(scheme.carried) * components + _dts(scheme) + 1
         found.append(Attribute("history", width, "real", "", f"the past that {scheme.name} looks back at"))
     if adaptive:
         found.append(Attribute("dt", 1, "real", "s", "next step, where particles choose their own"))
     return tuple(found)
+
+
+def _dts(scheme: Scheme) -> int:
+    """Return how many of the last dt a scheme looks at."""
+    return scheme.steps_back - 1 if scheme.starts_itself else 1
 
 
 @ti.data_oriented
@@ -52,7 +63,7 @@ class Pace:
         self.table, self.components, self.tolerance = table, components, tolerance
         self.clamp = CLAMPS[clamp]
         self.adaptive = tolerance is not None
-        self.steps_back = scheme.steps_back
+        self.steps_back, self.starts_itself = scheme.steps_back, scheme.starts_itself
         self.chooses = self.adaptive or table.implicit
         # Equal steps of one size for each particle are counted beforehand; all else decides anew after every step.
         self.counted = clamp == "equal" and not (self.chooses or self.steps_back)
@@ -65,7 +76,8 @@ class Pace:
         if self.steps_back:
             fields = iter(columns["history"])
             self.past = [(register, d, next(fields)) for register in scheme.carried for d in range(components)]
-            self.last_dt, self.steps_held = next(fields), next(fields)
+            self.last_dts = [next(fields) for _ in range(_dts(scheme))]
+            self.steps_held = next(fields)
 
     def vectors(self) -> dict[str, int]:
         """Return the local vectors that a block needs: name, and how many."""
@@ -77,25 +89,35 @@ class Pace:
         if self.adaptive:
             names |= {"estimate": self.components, "error": 1}
         if self.steps_back:
-            names |= {"last": 1, "filled": 1, "ratio": 1, "started": 1}
+            names |= {"last": len(self.last_dts), "filled": 1, "ratio": 1, "started": 1}
         return names
+
+    def lasts(self, b: Block) -> list[Any]:
+        """Return the vectors of a block that hold the sizes of the last steps [s], the latest first."""
+        return b.last if isinstance(b.last, list) else [b.last]
+
+    @ti.func
+    def reset(self, b: ti.template()):
+        """Begin to count."""
+        for lane in range(b.lanes):
+            b.shortest[lane] = ti.math.inf
 
     @ti.func
     def load(self, b: ti.template(), lane, i, newborn, dt, span):
         """Set out with particle `i` in `lane`, whose time left is known."""
-        b.shortest[lane] = ti.math.inf
         if ti.static(self.counted):
             self.count(b, lane, dt, span)
         if ti.static(self.chooses):
             b.wish[lane] = dt
             b.calm[lane] = 1.0
         if ti.static(self.adaptive):
-            first = ti.static(self.tolerance.first) * dt
+            first = ti.static(self.tolerance.first * (_SHORT if self.starts_itself else 1.0)) * dt
             b.wish[lane] = ti.select(newborn, first, ti.min(self.tried[i], dt))
         if ti.static(self.steps_back > 0):
             for register, d, past in ti.static(self.past):
-                b.k[d][register * b.lanes + lane] = past[i]
-            b.last[lane] = self.last_dt[i]
+                b.k[d][register * b.lanes + lane] = ti.select(newborn, 0.0, past[i])
+            for last, dts in ti.static(zip(self.lasts(b), self.last_dts, strict=True)):
+                last[lane] = dts[i]
             b.filled[lane] = ti.select(newborn, 0.0, self.steps_held[i])
 
     @ti.func
@@ -106,7 +128,8 @@ class Pace:
         if ti.static(self.steps_back > 0):
             for register, d, past in ti.static(self.past):
                 past[i] = b.k[d][register * b.lanes + lane]
-            self.last_dt[i] = b.last[lane]
+            for last, dts in ti.static(zip(self.lasts(b), self.last_dts, strict=True)):
+                dts[i] = last[lane]
             self.steps_held[i] = b.filled[lane]
 
     @ti.func
@@ -132,8 +155,10 @@ class Pace:
                 wish = b.wish[lane]
             left = b.left[lane]
             b.h[lane] = ti.select(left > 0.0, ti.min(left, self.clamp(left, wish, span)), 0.0)
+            if ti.static(self.starts_itself):
+                b.h[lane] = ti.select((left > 0.0) & (b.filled[lane] == 0.0), ti.static(_NO_TIME), b.h[lane])
         starting = 0
-        if ti.static(self.steps_back > 0):
+        if ti.static(self.steps_back > 0 and not self.starts_itself):
             for lane in range(b.lanes):
                 h, last = b.h[lane], b.last[lane]
                 fits = ti.abs(h - last) <= ti.static(self.unequal) * h
@@ -148,14 +173,18 @@ class Pace:
         return starting
 
     @ti.func
-    def judge(self, b: ti.template(), block, coefficients: ti.template(), target: ti.template(), dt, span):
-        """Accept or reject each lane's step and say what it tries next; return the slot of a lane that finds no step."""
+    def judge(
+        self, b: ti.template(), slots: ti.template(), coefficients: ti.template(), target: ti.template(), dt, span
+    ):
+        """Accept or reject each lane's step and say what it tries next; return the least slot of a lane that finds no step."""
         stuck = NOBODY
         if ti.static(self.adaptive):
             self._measure(b, coefficients, target, span)
         for lane in range(b.lanes):
             h = b.h[lane]
-            fine = ti.select(h > 0.0, 1.0, 0.0)
+            fine, looked = ti.select(h > 0.0, 1.0, 0.0), ti.cast(0.0, float)
+            if ti.static(self.starts_itself):
+                looked = ti.select(b.filled[lane] == 0.0, 1.0, 0.0)
             if ti.static(self.chooses):
                 factor, lost = ti.cast(2.0, float), ti.cast(0.0, float)
                 if ti.static(self.adaptive):
@@ -163,7 +192,7 @@ class Pace:
                     factor = step_factor(e, b.calm[lane], ti.static(self.exponent), ti.static(self.tolerance.most))
                     fine *= ti.select(e <= 1.0, 1.0, 0.0)
                     lost = ti.select(e > ti.static(_NO_NUMBER / 2), 1.0, 0.0)
-                    b.calm[lane] = ti.select(fine > 0.0, e, b.calm[lane])
+                    b.calm[lane] = ti.select((fine > 0.0) & (looked == 0.0), e, b.calm[lane])
                 if ti.static(self.table.implicit):
                     fine *= 1.0 - b.failed[lane]
                     factor = ti.select(b.failed[lane] > 0.0, 0.5, factor)
@@ -180,36 +209,40 @@ class Pace:
                     grown = ti.min(grown, ti.select(b.error[lane] <= ti.static(CALM), dt, trusted))
                 # No step at all: leave the loop. What is no number is left in the state, for the guard that names it.
                 hopeless = (h > 0.0) & (fine == 0.0) & (grown < ti.static(self.smallest) * span)
-                b.wish[lane] = ti.select(h > 0.0, ti.min(grown, dt), b.wish[lane])
+                b.wish[lane] = ti.select((h > 0.0) & (looked == 0.0), ti.min(grown, dt), b.wish[lane])
                 if hopeless:
                     b.left[lane] = h
                     fine = 1.0
                     if lost > 0.0:
                         b.z[0][lane] = ti.math.nan
                     else:
-                        stuck = ti.min(stuck, block * b.lanes + lane)
+                        stuck = ti.min(stuck, slots[lane])
                 b.missed[lane] += ti.select((h > 0.0) & (fine == 0.0), 1.0, 0.0)
             b.ok[lane] = fine
-            b.taken[lane] += fine
-            if ti.static(self.steps_back > 0):
+            step = fine * (1.0 - looked)
+            b.taken[lane] += step
+            if ti.static(self.starts_itself):
+                b.started[lane] += fine * looked
+            elif ti.static(self.steps_back > 0):
                 b.started[lane] += ti.select(b.filled[lane] < self.steps_back, fine, 0.0)
-            b.shortest[lane] = ti.min(b.shortest[lane], ti.select(fine > 0.0, h, ti.math.inf))
+            b.shortest[lane] = ti.min(b.shortest[lane], ti.select(step > 0.0, h, ti.math.inf))
             b.longest[lane] = ti.max(b.longest[lane], fine * h)
         return stuck
 
     @ti.func
     def _measure(self, b: ti.template(), coefficients: ti.template(), target: ti.template(), span):
-        """error = the estimate dt sum_j e_j k_j, in units of what is allowed."""
+        """error = the estimate dt sum_j e_j k_j, or what a corrector has added, in units of what is allowed."""
         m, row = ti.static(self.components, len(self.table.ops))
-        for lane in range(b.lanes):
-            for d in ti.static(range(m)):
-                b.estimate[d][lane] = 0.0
-        for j in range(self.table.scheme.registers):
-            e = coefficients[row, 1 + j]
-            if e != 0.0:
-                for lane in range(b.lanes):
-                    for d in ti.static(range(m)):
-                        b.estimate[d][lane] += (e * b.h[lane]) * b.k[d][j * b.lanes + lane]
+        if ti.static(not self.starts_itself):
+            for lane in range(b.lanes):
+                for d in ti.static(range(m)):
+                    b.estimate[d][lane] = 0.0
+            for j in range(self.table.scheme.registers):
+                e = coefficients[row, 1 + j]
+                if e != 0.0:
+                    for lane in range(b.lanes):
+                        for d in ti.static(range(m)):
+                            b.estimate[d][lane] += (e * b.h[lane]) * b.k[d][j * b.lanes + lane]
         for lane in range(b.lanes):
             error = self.tolerance.error(
                 target,
@@ -254,7 +287,11 @@ class Pace:
             else:
                 b.left[lane] -= ti.select(accepted, b.h[lane], 0.0)
             if ti.static(self.steps_back > 0):
-                b.last[lane] = ti.select(accepted, b.h[lane], b.last[lane])
+                latest = b.h[lane]
+                for last in ti.static(self.lasts(b)):
+                    before = last[lane]
+                    last[lane] = ti.select(accepted, latest, before)
+                    latest = before
                 filled = ti.min(b.filled[lane] + 1.0, ti.static(float(self.steps_back)))
                 b.filled[lane] = ti.select(accepted, filled, b.filled[lane])
             busy |= ti.select(b.left[lane] > 0.0, 1, 0)

@@ -25,7 +25,8 @@ class Solves:
 class StepReport:
     """What one advance took: sub-steps over all particles, tries that were rejected, smallest and largest dt [s] (0: no step).
 
-    `starting`: how many of the steps of particles were made by the starter of a multistep scheme. `solves`: of a mesh with implicit
+    `starting`: how many of the steps of particles were made by the starter of a multistep scheme; of one that starts itself, how
+    many starts took a slope. `solves`: of a mesh with implicit
     stages.
     """
 
@@ -46,5 +47,7 @@ class StepReport:
 
     def evaluations(self, scheme: Scheme) -> int:
         """Return how often `scheme` has looked at the law for this, rejected tries and its starter's steps included."""
+        if scheme.starts_itself:
+            return (self.steps + self.rejected) * scheme.evaluations + self.starting
         own = (self.steps + self.rejected - self.starting) * scheme.evaluations
         return own + self.starting * (scheme.starter.evaluations if scheme.starter else 0)
