@@ -46,6 +46,7 @@ STEPS = {
     "ab2": {"scheme": "ab2"},
     "backward-euler": {"scheme": "backward-euler"},
     "pixels": {"scheme": "dormand-prince", "steps": tp.PixelTolerance(px=0.5)},
+    "pixels with a past": {"scheme": "abm5-pec", "steps": tp.PixelTolerance(px=0.5)},
 }
 
 

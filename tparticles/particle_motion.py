@@ -10,12 +10,13 @@ import numpy as np
 
 from . import backend
 from .binding import Parameters
+from .errors import InputError
 from .physics.emitters import Schedule
 from .render.film import Dots, Film
 from .render.project import Projector, draw
 from .scene import Group, Scene
 from .schemes import Scheme
-from .stepping.control import Fixed, StabilityLimit, equal_steps, frame_step
+from .stepping.control import Fixed, PixelTolerance, StabilityLimit, Tolerance, equal_steps, frame_step
 from .stepping.fused import FusedStepper
 from .stepping.pace import memory
 from .stepping.report import StepReport
@@ -40,6 +41,7 @@ class Plan:
     more: tuple[Attribute, ...]
     scheme: Scheme
     dt: float
+    tolerance: Tolerance | None
 
     @classmethod
     def of(cls, spec: Group, scene: Scene, share: Share) -> Plan:
@@ -59,6 +61,7 @@ class Plan:
             frame_step(
                 scene.steps, scheme=scheme, bound=bound, frame=float(1 / scene.fps), damping=spec.system.damping
             ),
+            _tolerance(spec, scene),
         )
 
     @property
@@ -74,6 +77,17 @@ class Plan:
         system, stored = self.spec.system, [name in self.names for name in ("v", "size")]
         serial = backend.current().in_one_thread(padded(self.room))
         return [*likeness(system, self.spec.cooling), type(system), system.velocity_free, stored, serial]
+
+
+def _tolerance(spec: Group, scene: Scene) -> Tolerance | None:
+    """Return what the errors of a group's particles are held against, if they are."""
+    if isinstance(scene.steps, PixelTolerance):
+        try:
+            rate = spec.jacobian_bound().imaginary
+        except InputError:
+            rate = None  # a law of the user's need not have a bound
+        return scene.steps.fitted(rate, min(spec.longest_life(scene.look), scene.duration))
+    return None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps
 
 
 class _Shared:
@@ -106,7 +120,9 @@ class _Shared:
         own = plan.kind
         for kind, stepper in self._steppers:
             if kind == own:
-                return stepper.twin(spec.system, cooling=spec.cooling, columns=columns, size=size)
+                return stepper.twin(
+                    spec.system, cooling=spec.cooling, columns=columns, size=size, tolerance=plan.tolerance
+                )
         stepper = FusedStepper(
             spec.system,
             cooling=spec.cooling,
@@ -114,7 +130,7 @@ class _Shared:
             clamp=scene.clamp,
             columns=columns,
             size=size,
-            tolerance=None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps,
+            tolerance=plan.tolerance,
         )
         self._steppers.append((own, stepper))
         return stepper
