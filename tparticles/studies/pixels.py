@@ -39,6 +39,7 @@ SCHEMES = (
     "ab2",
     "ab4",
     "abm4",
+    "abm5-pec",
     "velocity-verlet",
 )
 FINEST = 48  # steps per frame of the reference
@@ -49,16 +50,21 @@ Dots = dict[str, tuple[np.ndarray, np.ndarray]]  # by group: id, x
 
 @dataclass(frozen=True)
 class Track:
-    """A run up to a frame: where the particles are, and what it took. `seconds`: in the stepper alone, without compilation."""
+    """A run up to the last of some frames: where the particles are at each, and what it took.
 
-    dots: Dots
+    `seconds`: in the stepper alone, without compilation.
+    """
+
+    dots: tuple[Dots, ...]
     seconds: float
     steps: int
     evaluations: int
 
 
-def track(scene: Scene, frame: int, *, precision: str, size: tuple[int, int], threads: int | None = None) -> Track:
-    """Run `scene` up to `frame`.
+def track(
+    scene: Scene, frames: Sequence[int], *, precision: str, size: tuple[int, int], threads: int | None = None
+) -> Track:
+    """Run `scene` up to the last of `frames`, which rise.
 
     Raises:
         InputError, RunError: as `Simulation`.
@@ -69,13 +75,15 @@ def track(scene: Scene, frame: int, *, precision: str, size: tuple[int, int], th
     for group in simulation.groups:
         if group.stepper:
             _watch(group.stepper, clock, simulation, group.dt)
-    report = simulation.advance_to(frame)
-    dots = {}
-    for group in simulation.groups:
-        state = group.state(report.time)
-        dots[group.spec.name] = state["id"], state["x"].astype(float)
-    work = StepReport(steps=report.steps, rejected=report.rejected, starting=report.starting)
-    return Track(dots, clock[0], report.steps, work.evaluations(scene.running_scheme))
+    dots: list[Dots] = []
+    steps = rejected = starting = 0
+    for frame in frames:
+        report = simulation.advance_to(frame)
+        steps, rejected, starting = steps + report.steps, rejected + report.rejected, starting + report.starting
+        states = {group.spec.name: group.state(report.time) for group in simulation.groups}
+        dots.append({name: (state["id"], state["x"].astype(float)) for name, state in states.items()})
+    work = StepReport(steps=steps, rejected=rejected, starting=starting)
+    return Track(tuple(dots), clock[0], steps, work.evaluations(scene.running_scheme))
 
 
 def _watch(stepper: Any, clock: list[float], simulation: Simulation, dt: float) -> None:
@@ -93,12 +101,12 @@ def _watch(stepper: Any, clock: list[float], simulation: Simulation, dt: float) 
     stepper.advance = watched
 
 
-def reference(scene: Scene, frame: int, *, size: tuple[int, int], steps: int = FINEST) -> Dots:
-    """Return where the particles are, by Dormand and Prince in f64 with so many steps a frame."""
+def reference(scene: Scene, frames: Sequence[int], *, size: tuple[int, int], steps: int = FINEST) -> tuple[Dots, ...]:
+    """Return where the particles are at each of the frames, by Dormand and Prince in f64 with so many steps a frame."""
     fine = dataclasses.replace(
         scene, scheme=schemes.get("dormand-prince"), steps=Fixed(dt=_dt(scene, steps)), clamp="equal"
     )
-    return track(fine, frame, precision="f64", size=size).dots
+    return track(fine, frames, precision="f64", size=size).dots
 
 
 def distances(dots: Dots, truth: Dots, scene: Scene, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, int]:
@@ -151,8 +159,8 @@ def study(
         raise InputError(f"--frame {frame} leaves the film, which has frames 1-{last}")
     fitting, notes = _fitting(scene, chosen)
     tell(f"precision: reference of {name}")
-    truth = reference(scene, frame, size=size, steps=finest)
-    off, _ = distances(reference(scene, frame, size=size, steps=finest // 2), truth, scene, frame, size)
+    (truth,), (coarser,) = (reference(scene, [frame], size=size, steps=n) for n in (finest, finest // 2))
+    off, _ = distances(coarser, truth, scene, frame, size)
     if not len(off):
         raise InputError(f"frame {frame} of scene '{name}' shows no particle: choose another with --frame")
     notes.append(
@@ -234,11 +242,12 @@ def _point(
     size: tuple[int, int],
 ) -> Point | None:
     try:
-        found = track(film, frame, precision=precision, size=size)
+        found = track(film, [frame], precision=precision, size=size)
+        (dots,) = found.dots
     except (InputError, RunError):
         return None  # certainly unstable, or it went astray: no point of the diagram
-    off, _ = distances(found.dots, truth, film, frame, size)
-    alive = sum(len(ids) for ids, _ in found.dots.values())
+    off, _ = distances(dots, truth, film, frame, size)
+    alive = sum(len(ids) for ids, _ in dots.values())
     return Point(
         solver=name,
         control=control,
