@@ -74,6 +74,8 @@ def scene(
         look=tp.Look(ev=4.0, tone="filmic"),
         background=tp.Gradient(top=(0.012, 0.016, 0.030), bottom=(0.045, 0.034, 0.034)),
         duration=10.0,
-        steps=tp.Fixed(dt=1 / 72),
+        # To half a pixel in any size, so that a preview shows the sparks where the film will have them.
+        scheme="abm5-pec",
+        steps=tp.PixelTolerance(px=0.5),
         seed=seed,
     )

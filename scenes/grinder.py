@@ -36,7 +36,8 @@ def scene(
         look=tp.Look(ev=7.0),
         background=tp.Gradient(top=(0.020, 0.022, 0.028), bottom=(0.055, 0.055, 0.060)),
         duration=4.0,
-        steps=tp.StabilityLimit(safety=0.9),
+        scheme="abm5-pec",
+        steps=tp.PixelTolerance(px=0.5),
         shutter=0.6,
         seed=seed,
     )

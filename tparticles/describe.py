@@ -32,7 +32,7 @@ def describe_scene(scene: str, *, settings: Mapping[str, Any], quality: str, pre
         raise unknown("precision", precision, get_args(Precision))
     script = library.load(scene)
     values = script.values(settings)
-    built = script.build(quality=quality, settings=settings)
+    built = script.build(quality=quality, settings=settings).of_quality(quality)
     end = built.duration
     groups = []
     for group in built.particles:

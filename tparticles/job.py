@@ -102,6 +102,8 @@ class Job:
     def _scene(self) -> Scene:
         o = self.options
         scene = self.script.build(quality=o.quality, settings=self.settings)
+        if o.scheme is None:
+            scene = scene.of_quality(o.quality)
         changes = {
             "fps": None if o.fps is None else frame_rate(o.fps),
             "size": o.size,

@@ -169,13 +169,18 @@ class Group:
         return bound
 
 
+# What a scene is stepped by that says nothing of it; known by identity, as a script may name the same.
+_SCHEME, _STEPS = dataclasses.replace(schemes.get("rk4")), Fixed(dt=1 / 96)
+
+
 @spec
 class Scene:
     """A film: groups of particles and spring meshes, a camera, a look, and how time is stepped.
 
     `duration` [s], `fps` (24, 25, "30000/1001"), `size` (width, height) [px] or None for the size of the quality.
-    `scheme`: a name of the catalogue or a `Scheme` made in the scene script. `steps`: the controller; `clamp`: how its steps are
-    fitted to the frame. `shutter`: the part of a frame that it is open (0: no streaks; 0.5: a 180 degree shutter).
+    `scheme`: a name of the catalogue or a `Scheme` made in the scene script. `steps`: the controller. Where both are left out it is
+    rk4 in steps of 1/96 s, or what `of_quality` says. `clamp`: how steps are fitted to the frame.
+    `shutter`: the part of a frame that it is open (0: no streaks; 0.5: a 180 degree shutter).
 
     Raises:
         InputError: a wrong value, two groups of one name.
@@ -188,8 +193,8 @@ class Scene:
     duration: Positive = 10.0
     fps: Annotated[Fraction, BeforeValidator(lambda v: frame_rate(v))] = Fraction(24)
     size: tuple[Annotated[int, Field(ge=1, le=16384)], Annotated[int, Field(ge=1, le=16384)]] | None = None
-    scheme: Annotated[SkipValidation[Scheme], BeforeValidator(lambda v: schemes.get(v))] = schemes.get("rk4")
-    steps: Controller = Fixed(dt=1 / 96)
+    scheme: Annotated[SkipValidation[Scheme], BeforeValidator(lambda v: schemes.get(v))] = _SCHEME
+    steps: Controller = _STEPS
     clamp: Clamp = "equal"
     shutter: Annotated[float, Field(ge=0, le=1)] = 0.5
     seed: Annotated[int, Field(ge=0)] = 0
@@ -256,6 +261,26 @@ class Scene:
     def running_scheme(self) -> Scheme:
         """The scheme that is run: where particles choose their steps, one that estimates its error."""
         return schemes.doubled(self.scheme) if self.adaptive else self.scheme
+
+    @property
+    def says_steps(self) -> bool:
+        """Whether the script says by which scheme or in which steps."""
+        return self.scheme is not _SCHEME or self.steps is not _STEPS
+
+    def of_quality(self, quality: str) -> Scene:
+        """Return how the scene is stepped in a quality: where it says neither scheme nor steps, a final one to half a pixel.
+
+        Particles then choose their own steps under `PixelTolerance()`, by abm5-pec. Meshes that have no steps of their own go by
+        the scene's, and keep it as it is.
+        """
+        if (
+            quality != "final"
+            or self.says_steps
+            or self.clamp == "slide32"
+            or any(mesh.steps is None for mesh in self.meshes)
+        ):
+            return self
+        return dataclasses.replace(self, scheme=schemes.get("abm5-pec"), steps=PixelTolerance())
 
     def resolution(self, quality: str = "final") -> tuple[int, int]:
         """Return (width, height) [px].

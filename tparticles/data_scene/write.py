@@ -31,6 +31,9 @@ def write_scene(scene: Scene, *, summary: str = "") -> dict[str, Any]:
         InputError: it has a law of its own, or another thing that data cannot say; the path and the thing are named.
     """
     document = _table(scene, "$", (Scene,))
+    if scene.says_steps and not {"scheme", "steps"} & set(document):
+        # the same as by default, but said: see `Scene.of_quality`
+        document["steps"] = _value(kind(Scene).slots["steps"], scene.steps, "$.steps")
     return ({"summary": summary} if summary else {}) | document
 
 
