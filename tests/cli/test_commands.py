@@ -98,18 +98,19 @@ def test_list_of_nothing(run: Run) -> None:
 
 def test_describe_shows_parameters_and_bytes_per_particle(run: Run, scene) -> None:
     scene()
-    text = run("describe", "tiny.py", "--set", "rate=24").out
+    text = run("describe", "tiny.py", "--set", "rate=24", "--quality", "draft").out
     assert "tiny: A tiny film." in text
     assert "rate = 24.0 (float, default 60.0)" in text
     assert "seed = 1 (int)" in text
     assert re.search(r"24 bytes per particle \(.*x:12.*\)", text)
-    found = run("describe", "tiny.py", "--set", "rate=24", "--json").json
+    found = run("describe", "tiny.py", "--set", "rate=24", "--quality", "draft", "--json").json
     (group,) = found["groups"]
     assert (group["name"], group["births"], group["bytes_per_particle"]) == ("dots", 12, 24)
     assert group["bytes_per_particle"] == sum(group["attributes"].values())
     assert found["parameters"]["rate"] == {"type": "float", "default": 60.0, "value": 24.0}
     assert (found["frames"], found["fps"], found["size"], found["scheme"]) == (6, "24", [64, 36], "rk4")
-    assert run("describe", "tiny.py", "--precision", "f64", "--json").json["groups"][0]["bytes_per_particle"] == 36
+    doubles = run("describe", "tiny.py", "--precision", "f64", "--quality", "draft", "--json").json
+    assert doubles["groups"][0]["bytes_per_particle"] == 36
 
 
 def test_describe_keeps_what_a_scene_prints_off_stdout(process: Run, scene) -> None:

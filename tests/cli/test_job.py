@@ -12,7 +12,9 @@ import pytest
 from commands import ROOT, Run, Write
 from PIL import Image
 
+import tparticles as tp
 from tparticles import library
+from tparticles.describe import toml
 from tparticles.errors import InputError
 from tparticles.job import Job, Options
 from tparticles.shoot import merged
@@ -33,7 +35,6 @@ def identity(path: Path, **options: object) -> str:
         {"seed": 1},
         {"fps": "24/1"},
         {"size": (64, 36)},
-        {"scheme": "rk4"},
         {"out": Path("elsewhere")},
         {"threads": 1},
         {"states": True},
@@ -44,6 +45,28 @@ def identity(path: Path, **options: object) -> str:
 def test_what_changes_no_picture_changes_no_identity(scene: Write, options: dict[str, object]) -> None:
     path = scene()
     assert identity(path, **options) == identity(path)
+
+
+def test_what_steps_a_film_whose_script_does_not_say(scene: Write, tmp_path: Path) -> None:
+    path = scene()
+    text = path.read_text()
+
+    def stepped(path: Path, **options: object) -> tuple[str, object]:
+        found = Job(str(path), Options(**PNG | options)).scene  # type: ignore[arg-type]
+        return found.scheme.name, found.steps
+
+    usual, chosen = ("rk4", tp.Fixed(dt=1 / 96)), ("abm5-pec", tp.PixelTolerance(px=0.5))
+    assert (stepped(path), stepped(path, quality="draft")) == (chosen, usual)
+    assert stepped(path, scheme="rk4") == usual  # which fits any scheme
+    assert identity(path, quality="draft", scheme="rk4") == identity(path, quality="draft")
+    for said in ('scheme="rk4"', "steps=tp.Fixed(dt=1 / 96)", 'clamp="slide32"'):
+        said_path = tmp_path / "said.py"
+        said_path.write_text(text.replace("return tp.Scene(", f"return tp.Scene({said}, "))
+        assert stepped(said_path) == usual
+        data = tmp_path / "said.toml"
+        if "clamp" not in said:
+            data.write_text(toml(str(said_path), settings={}, quality="final"))
+            assert stepped(data) == usual
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,8 @@ def regions(result: StabilityStudy) -> Any:
     """Draw the region of each scheme in the plane of dt lambda on one sheet, with the limits on the axes."""
     ordered = [name for group in style.families(r.scheme for r in result.regions).values() for name in group]
     by_name = {r.scheme: r for r in result.regions}
-    columns = min(len(ordered), 8)
-    rows = math.ceil(len(ordered) / columns)
+    rows = math.ceil(len(ordered) / 8)
+    columns = math.ceil(len(ordered) / rows)
     fig, axes = style.figure(rows, columns, size=(2.35, 3.2))
     for ax, name in zip(axes.flat, ordered, strict=False):
         _region_axes(ax, by_name[name])
