@@ -8,6 +8,7 @@ single frame the largest is a matter of luck, as it is a single spark's that pas
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import median
 
 from tests.bench.table import Table
 from tparticles import library, schemes
@@ -16,7 +17,7 @@ from tparticles.scene import Scene
 from tparticles.stepping.control import Fixed, PixelTolerance
 from tparticles.studies import pixels
 
-EVERY, SIZE = 6, (1920, 1080)
+EVERY, SIZE, ROUNDS = 6, (1920, 1080), 7
 # per frame; after the first that meets a pixel a scheme is left
 FIXED = {
     "midpoint": (6, 8, 12, 16, 24, 32),
@@ -40,16 +41,20 @@ class Film:
     frames: range
     truth: tuple[pixels.Dots, ...]
 
-    def measured(self, scheme: str, control: Fixed | PixelTolerance) -> tuple[float, float, int, float]:
-        """Return the largest error [px], the part of frames with one above 1 px, evaluations and seconds in the stepper."""
+    def run(self, scheme: str, control: Fixed | PixelTolerance) -> pixels.Track:
+        """Run the film."""
         film = dataclasses.replace(self.scene, scheme=schemes.get(scheme), steps=control, clamp="equal")
-        runs = [pixels.track(film, self.frames, precision="f64", size=SIZE) for _ in range(2)]
-        worst = [
-            pixels.distances(dots, truth, film, frame, SIZE)[0].max()
-            for dots, truth, frame in zip(runs[0].dots, self.truth, self.frames, strict=True)
-        ]
-        above = sum(px > 1 for px in worst) / len(worst)
-        return max(worst), above, runs[0].evaluations, min(run.seconds for run in runs)
+        return pixels.track(film, self.frames, precision="f64", size=SIZE)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a scheme under a control gave: largest error [px], evaluations."""
+
+    scheme: str
+    control: Fixed | PixelTolerance
+    largest: float
+    work: int
 
 
 def main() -> None:
@@ -66,31 +71,45 @@ def main() -> None:
             add(film, table, scheme, PixelTolerance(px=0.5), "PixelTolerance(0.5)")
         ours = [add(film, table, "abm5-pec", PixelTolerance(px=px), f"PixelTolerance({px:g})") for px in PIXELS]
         table.print()
-        good, chosen = [row for row in fixed if row[0] <= 1], ours[PIXELS.index(0.5)]
+        good, chosen = [row for row in fixed if row.largest <= 1], ours[PIXELS.index(0.5)]
         if chosen and good:
+            cheapest = min(good, key=lambda row: row.work)
             print(
-                f"PixelTolerance(0.5): {chosen[0]:.2f} px (wanted: 1); against the cheapest fixed steps within 1 px "
-                f"{chosen[2] / min(row[2] for row in good):.2f} times the evaluations and "
-                f"{chosen[3] / min(row[3] for row in good):.2f} times the time (wanted: 1)"
+                f"PixelTolerance(0.5): {chosen.largest:.2f} px (wanted: 1); against {cheapest.scheme}, the cheapest fixed steps "
+                f"within 1 px, {chosen.work / cheapest.work:.2f} times the evaluations and {times(film, chosen, cheapest):.2f} "
+                "times the time (wanted: 1)"
             )
 
 
-def sweep(film: Film, table: Table, scheme: str, counts: tuple[int, ...]) -> Iterator[tuple[float, float, int, float]]:
+def times(film: Film, one: Row, other: Row) -> float:
+    """Return how many times as long one takes in the stepper as another, the median of runs in turn."""
+    ratios = [
+        film.run(one.scheme, one.control).seconds / film.run(other.scheme, other.control).seconds for _ in range(ROUNDS)
+    ]
+    return median(ratios)
+
+
+def sweep(film: Film, table: Table, scheme: str, counts: tuple[int, ...]) -> Iterator[Row]:
     """Yield what fixed steps of a scheme give, up to the first that meet a pixel."""
     for n in counts:
         row = add(film, table, scheme, Fixed(dt=1 / 24 / n), f"{n} a frame")
         if row:
             yield row
-            if row[0] <= 1:
+            if row.largest <= 1:
                 return
 
 
-def add(film, table, scheme, control, label):
-    """Add a row; return what was measured, None where it blew up."""
+def add(film: Film, table: Table, scheme: str, control: Fixed | PixelTolerance, label: str) -> Row | None:
+    """Add a row to the table; return what was measured, None where it blew up."""
     try:
-        px, above, work, seconds = row = film.measured(scheme, control)
+        track = film.run(scheme, control)
     except (InputError, RunError) as error:
         table.add(scheme, label, str(error)[:40], "", "", "")
         return None
-    table.add(scheme, label, f"{px:.3f}", f"{above:.0%}", f"{work / 1e6:.3f}", f"{1e3 * seconds:.0f}")
-    return row
+    worst = [
+        pixels.distances(dots, truth, film.scene, frame, SIZE)[0].max()
+        for dots, truth, frame in zip(track.dots, film.truth, film.frames, strict=True)
+    ]
+    above, work = sum(px > 1 for px in worst) / len(worst), track.evaluations
+    table.add(scheme, label, f"{max(worst):.3f}", f"{above:.0%}", f"{work / 1e6:.3f}", f"{1e3 * track.seconds:.0f}")
+    return Row(scheme, control, max(worst), work)
