@@ -270,15 +270,12 @@ class Scene:
     def of_quality(self, quality: str) -> Scene:
         """Return how the scene is stepped in a quality: where it says neither scheme nor steps, a final one to half a pixel.
 
-        Particles then choose their own steps under `PixelTolerance()`, by abm5-pec. Meshes that have no steps of their own go by
-        the scene's, and keep it as it is.
+        Particles then choose their own steps under `PixelTolerance()`, by abm5-pec. Meshes without a scheme and steps of their own
+        go by the scene's, and keep it as it is; so does drag that the usual steps are refused for: no explicit scheme bears it.
         """
-        if (
-            quality != "final"
-            or self.says_steps
-            or self.clamp == "slide32"
-            or any(mesh.steps is None for mesh in self.meshes)
-        ):
+        lent = any(mesh.steps is None or mesh.scheme is None for mesh in self.meshes)
+        stiff = any(group.system.damping * _STEPS.dt > _SCHEME.real_limit for group in self.particles)
+        if quality != "final" or self.says_steps or self.clamp == "slide32" or lent or stiff:
             return self
         return dataclasses.replace(self, scheme=schemes.get("abm5-pec"), steps=PixelTolerance())
 

@@ -47,6 +47,14 @@ def test_what_changes_no_picture_changes_no_identity(scene: Write, options: dict
     assert identity(path, **options) == identity(path)
 
 
+def test_drag_too_stiff_for_the_usual_steps_is_refused_in_every_quality(scene: Write) -> None:
+    path = scene(system="tp.Newtonian(forces=(tp.Gravity(), tp.Drag(time=1e-4)))")
+    for quality in ("draft", "final"):
+        film = Job(str(path), Options(**PNG, quality=quality)).scene  # type: ignore[arg-type]
+        with pytest.raises(InputError, match=r"velocities relax at .* use StabilityLimit"):
+            tp.Simulation(film, size=(64, 36), arch="cpu")
+
+
 def test_what_steps_a_film_whose_script_does_not_say(scene: Write, tmp_path: Path) -> None:
     path = scene()
     text = path.read_text()
@@ -59,6 +67,13 @@ def test_what_steps_a_film_whose_script_does_not_say(scene: Write, tmp_path: Pat
     assert (stepped(path), stepped(path, quality="draft")) == (chosen, usual)
     assert stepped(path, scheme="rk4") == usual  # which fits any scheme
     assert identity(path, quality="draft", scheme="rk4") == identity(path, quality="draft")
+    mesh = 'tp.MeshGroup(name="box", mesh=tp.spring_box().moved((0, 0, 2)){})'
+    for own, found in (
+        ("", usual),
+        (", steps=tp.Fixed(dt=1 / 240)", usual),
+        (', scheme="rk4", steps=tp.Fixed(dt=1 / 240)', chosen),
+    ):
+        assert stepped(scene("boxes", groups=f"(group, {mesh.format(own)})")) == found
     for said in ('scheme="rk4"', "steps=tp.Fixed(dt=1 / 96)", 'clamp="slide32"'):
         said_path = tmp_path / "said.py"
         said_path.write_text(text.replace("return tp.Scene(", f"return tp.Scene({said}, "))
