@@ -16,7 +16,7 @@ from .render.film import Dots, Film
 from .render.project import Projector, draw
 from .scene import Group, Scene
 from .schemes import Scheme
-from .stepping.control import Fixed, PixelTolerance, StabilityLimit, Tolerance, equal_steps, frame_step
+from .stepping.control import ErrorControl, PixelTolerance, StabilityLimit, Tolerance, equal_steps, frame_step
 from .stepping.fused import FusedStepper
 from .stepping.pace import memory
 from .stepping.report import StepReport
@@ -87,7 +87,7 @@ def _tolerance(spec: Group, scene: Scene) -> Tolerance | None:
         except InputError:
             rate = None  # a law of the user's need not have a bound
         return scene.steps.fitted(rate, min(spec.longest_life(scene.look), scene.duration))
-    return None if isinstance(scene.steps, Fixed | StabilityLimit) else scene.steps
+    return scene.steps if isinstance(scene.steps, ErrorControl) else None
 
 
 class _Shared:

@@ -20,14 +20,12 @@ _SOURCE = "step doubling: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary 
 
 
 def doubled(scheme: Scheme) -> Scheme:
-    """Return a scheme with an error estimate.
+    """Return the scheme that runs under a tolerance: one that knows its error, and does without a starter.
 
-    It takes two steps of dt/2 and estimates their error by a third one of dt from the same start.
-
-    The result is z_two, that of the two half steps; the estimate is (z_two - z_one) / (2^p - 1), p the order: to leading
-    order the true solution less z_two. A scheme that has an error estimate is returned as it is, without the
-    starter that one of Adams' does not need where its errors are known.
-    Raises InputError, naming the scheme, if it looks back at earlier steps otherwise.
+    A scheme with an error estimate is returned as it is, a PEC method of Adams' without its starter. Others take two steps of dt/2
+    and a third one of dt from the same start. Their result is z_two, that of the two half steps; the estimate is
+    (z_two - z_one) / (2^p - 1), p the order: to leading order the true solution less z_two.
+    Raises InputError, naming the scheme, if it looks back at earlier steps and does not interpolate them.
     """
     if scheme.interpolates:
         return dataclasses.replace(scheme, starter=None)

@@ -233,14 +233,12 @@ def interpolates(ops: Sequence[Op]) -> bool:
         return False
     predictor, _, corrector = ops
     back = len(corrector.weights) - 1
-    return (
-        len(predictor.weights) == back + 1
-        and all(
-            math.isclose(weight, exact, rel_tol=1e-14, abs_tol=1e-15)
-            for op, nodes in ((predictor, range(0, -back, -1)), (corrector, range(1, -back, -1)))
-            for weight, exact in zip(op.weights[-len(nodes) :], quadrature(nodes), strict=True)
-        )
-        and predictor.weights[0] == 0.0
+    # k_j is f at 1 - j: the predictor has k_1, k_2, ..., the corrector k_0 as well
+    wanted = [0, *quadrature(range(0, -back, -1))], quadrature(range(1, -back, -1))
+    return len(predictor.weights) == back + 1 and all(
+        math.isclose(weight, exact, rel_tol=1e-14)
+        for op, weights in zip((predictor, corrector), wanted, strict=True)
+        for weight, exact in zip(op.weights, weights, strict=True)
     )
 
 

@@ -42,6 +42,7 @@ class Walk:
             kind = ops[op, 0]
             if kind == _COMBINE:
                 if ti.static(self.pace.starts_itself):
+                    # the first slope of a predictor is k_1, that of a corrector k_0
                     if ops[op, 4] > 0:
                         predict(b, ti.static(self.pace.lasts(b)))
                     else:
